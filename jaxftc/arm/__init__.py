@@ -1,0 +1,1 @@
+"""The arm: its numbers, any serial arm of hinges, and two engines behind one door."""

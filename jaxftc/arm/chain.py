@@ -1,0 +1,239 @@
+"""Rigid-body dynamics of a serial chain of hinges, unrolled: Newton-Euler and composite inertia recursions.
+
+Every quantity is a Python list of per-joint scalars ("lanes"), each an array over the scenario axes, so that the compiled
+step is straight-line arithmetic; products with the constants 0 and 1 of the arm's geometry are left out while tracing.
+Spatial inertia is mass, first moment and inertia about the hinge: linear in the masses, so a scaled link or a payload only
+adds. Friction and motor inertia are the door's business (plant.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.arm.robot import Link, Robot
+from jaxftc.types import Array
+
+Lane = Any  # float or Array [...]
+Vector = tuple[Lane, Lane, Lane]
+ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Inertia(NamedTuple):
+    """Spatial inertia about a hinge's origin, in the hinge's frame."""
+
+    mass: Lane  # kg
+    moment: Vector  # kg m
+    tensor: tuple[Lane, Lane, Lane, Lane, Lane, Lane]  # kg m^2, xx yy zz xy xz yz
+
+
+def lanes(x: Array) -> list[Array]:
+    """[n, ...] as n arrays [...]."""
+    return [jax.lax.index_in_dim(x, i, 0, keepdims=False) for i in range(x.shape[0])]
+
+
+def _mul(a: Lane, b: Lane) -> Lane:
+    for u, v in ((a, b), (b, a)):
+        if isinstance(u, float):
+            if u == 0.0:
+                return 0.0
+            if u == 1.0:
+                return v
+            if u == -1.0:
+                return -v
+    return a * b
+
+
+def _sum(*terms: Lane) -> Lane:
+    total: Lane = 0.0
+    for term in terms:
+        if isinstance(term, float) and term == 0.0:
+            continue
+        total = term if isinstance(total, float) and total == 0.0 else total + term
+    return total
+
+
+def _dot(u: Sequence[Lane], v: Sequence[Lane]) -> Lane:
+    return _sum(*(_mul(a, b) for a, b in zip(u, v, strict=True)))
+
+
+def _add(*vectors: Vector) -> Vector:
+    return tuple(_sum(*parts) for parts in zip(*vectors, strict=True))  # pyright: ignore[reportReturnType]
+
+
+def _scale(s: Lane, v: Vector) -> Vector:
+    return (_mul(s, v[0]), _mul(s, v[1]), _mul(s, v[2]))
+
+
+def _cross(u: Vector, v: Vector) -> Vector:
+    return tuple(_sum(_mul(u[i], v[j]), -_mul(u[j], v[i])) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
+
+
+def _symmetric(tensor: Sequence[Lane], v: Vector) -> Vector:
+    xx, yy, zz, xy, xz, yz = tensor
+    return (_dot((xx, xy, xz), v), _dot((xy, yy, yz), v), _dot((xz, yz, zz), v))
+
+
+def _constant(values: np.ndarray) -> Any:
+    return tuple(float(v) for v in values)
+
+
+def link_inertia(link: Link, scale: Lane = 1.0) -> Inertia:
+    """Spatial inertia of a link, its mass and tensor scaled together (a denser link, same shape)."""
+    tensor = link.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+    parts = [_mul(scale, v) for v in (link.mass, *_constant(link.moment), *_constant(tensor))]
+    return Inertia(parts[0], tuple(parts[1:4]), tuple(parts[4:]))  # pyright: ignore[reportArgumentType]
+
+
+def _join(a: Inertia, b: Inertia) -> Inertia:
+    tensor = tuple(_sum(u, v) for u, v in zip(a.tensor, b.tensor, strict=True))
+    return Inertia(_sum(a.mass, b.mass), _add(a.moment, b.moment), tensor)  # pyright: ignore[reportArgumentType]
+
+
+def nominal_inertias(robot: Robot) -> list[Inertia]:
+    """The links as the model has them: Python floats, so that zeros vanish from the compiled step."""
+    return [link_inertia(link) for link in robot.links]
+
+
+def scaled_inertias(robot: Robot, mass: Array, payload: Array) -> list[Inertia]:
+    """The links with ``mass`` [n, ...] as factors, and ``payload`` [...] kg at the tool."""
+    inertias = [link_inertia(link, scale) for link, scale in zip(robot.links, lanes(mass), strict=True)]
+    inertias[-1] = _join(inertias[-1], link_inertia(robot.payload_link, payload))
+    return inertias
+
+
+class Pose(NamedTuple):
+    """Cosine and sine of every hinge, shared by all recursions of one tick."""
+
+    cos: list[Lane]
+    sin: list[Lane]
+
+
+def pose(robot: Robot, q: Array) -> Pose:
+    """Trigonometry of q [n, ...] rad."""
+    turned = q - trailing_constant(robot.q_zero, q) if np.any(robot.q_zero) else q
+    return Pose(lanes(jnp.cos(turned)), lanes(jnp.sin(turned)))
+
+
+def trailing_constant(values: np.ndarray, like: Array) -> Array:
+    """Per-joint numbers [n] in the dtype and with the scenario axes of ``like`` [n, ...]."""
+    return jnp.asarray(values, like.dtype).reshape(values.shape + (1,) * (like.ndim - 1))
+
+
+def _turn(at: Pose, i: int, v: Vector) -> Vector:
+    c, s = at.cos[i], at.sin[i]
+    return (_sum(_mul(c, v[0]), -_mul(s, v[1])), _sum(_mul(s, v[0]), _mul(c, v[1])), v[2])
+
+
+def _unturn(at: Pose, i: int, v: Vector) -> Vector:
+    c, s = at.cos[i], at.sin[i]
+    return (_sum(_mul(c, v[0]), _mul(s, v[1])), _sum(_mul(c, v[1]), -_mul(s, v[0])), v[2])
+
+
+def _to_parent(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:
+    turned = _turn(at, i, v)
+    return tuple(_dot(_constant(row), turned) for row in robot.links[i].rotation)  # pyright: ignore[reportReturnType]
+
+
+def _to_child(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:
+    aligned = tuple(_dot(_constant(column), v) for column in robot.links[i].rotation.T)
+    return _unturn(at, i, aligned)  # pyright: ignore[reportArgumentType]
+
+
+def newton_euler(
+    robot: Robot,
+    inertias: list[Inertia],
+    at: Pose,
+    qd: list[Lane] | None,
+    qdd: list[Lane] | None,
+    *,
+    gravity: bool = True,
+) -> list[Lane]:
+    """Joint torques [n lanes] N m of the links alone: recursive Newton-Euler, outward then inward.
+
+    ``qd`` or ``qdd`` of None stand for zero and cost nothing; M(q) qdd is ``qd=None, gravity=False``.
+    """
+    speed, spin, lift = ZERO, ZERO, (_constant(-robot.gravity) if gravity else ZERO)
+    forces: list[Vector] = []
+    moments: list[Vector] = []
+    for i, body in enumerate(inertias):
+        offset = _constant(robot.links[i].offset)
+        lift = _add(lift, _cross(spin, offset), _cross(speed, _cross(speed, offset)))
+        speed, spin, lift = (_to_child(robot, at, i, v) for v in (speed, spin, lift))
+        if qd is not None:
+            spin = _add(spin, (_mul(speed[1], qd[i]), -_mul(speed[0], qd[i]), 0.0))
+            speed = _add(speed, (0.0, 0.0, qd[i]))
+        if qdd is not None:
+            spin = _add(spin, (0.0, 0.0, qdd[i]))
+        swing = _cross(speed, _cross(speed, body.moment))
+        forces.append(_add(_scale(body.mass, lift), _cross(spin, body.moment), swing))
+        gyro = _cross(speed, _symmetric(body.tensor, speed))
+        moments.append(_add(_symmetric(body.tensor, spin), gyro, _cross(body.moment, lift)))
+    force, moment = ZERO, ZERO
+    torques: list[Lane] = []
+    for i in reversed(range(robot.n)):
+        force, moment = _add(forces[i], force), _add(moments[i], moment)
+        torques.append(moment[2])
+        force, moment = _to_parent(robot, at, i, force), _to_parent(robot, at, i, moment)
+        moment = _add(moment, _cross(_constant(robot.links[i].offset), force))
+    return torques[::-1]
+
+
+def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> list[list[Lane]]:
+    """M(q) of the links alone as n x n lanes, by composite inertias from the tool to the base."""
+    n = robot.n
+    matrix: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    composite = Inertia(0.0, ZERO, (0.0,) * 6)
+    for i in reversed(range(n)):
+        composite = _join(composite, inertias[i])
+        force: Vector = (-composite.moment[1], composite.moment[0], 0.0)
+        moment: Vector = (composite.tensor[4], composite.tensor[5], composite.tensor[2])
+        matrix[i][i] = moment[2]
+        for j in range(i, 0, -1):
+            force, moment = _to_parent(robot, at, j, force), _to_parent(robot, at, j, moment)
+            moment = _add(moment, _cross(_constant(robot.links[j].offset), force))
+            matrix[i][j - 1] = matrix[j - 1][i] = moment[2]
+        if i:
+            composite = _inertia_to_parent(robot, at, i, composite)
+    return matrix
+
+
+def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia:
+    """Turn a spatial inertia into the parent's axes, then move its origin (parallel axes, with first moments)."""
+    xx, yy, zz, xy, xz, yz = body.tensor
+    columns = [_to_parent(robot, at, i, v) for v in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
+    rows = [_to_parent(robot, at, i, (columns[0][k], columns[1][k], columns[2][k])) for k in range(3)]
+    moment = _to_parent(robot, at, i, body.moment)
+    p = _constant(robot.links[i].offset)
+    far = _sum(_mul(2.0, _dot(moment, p)), _mul(float(np.dot(p, p)), body.mass))
+
+    def entry(a: int, b: int) -> Lane:
+        shift = _sum(_mul(moment[a], p[b]), _mul(moment[b], p[a]), _mul(p[a] * p[b], body.mass))
+        return _sum(rows[a][b], far if a == b else 0.0, -shift)
+
+    tensor = tuple(entry(a, b) for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
+    return Inertia(body.mass, _add(moment, _scale(body.mass, p)), tensor)  # pyright: ignore[reportArgumentType]
+
+
+def solve(matrix: list[list[Lane]], right: list[Lane]) -> list[Lane]:
+    """x of M x = b for a symmetric positive definite M, by an unrolled LDL^T without square roots."""
+    n = len(right)
+    low: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    scaled: list[list[Lane]] = [[0.0] * n for _ in range(n)]
+    inverse: list[Lane] = [0.0] * n
+    for j in range(n):
+        inverse[j] = 1.0 / _sum(matrix[j][j], *(-_mul(low[j][k], scaled[j][k]) for k in range(j)))
+        for i in range(j + 1, n):
+            scaled[i][j] = _sum(matrix[i][j], *(-_mul(scaled[i][k], low[j][k]) for k in range(j)))
+            low[i][j] = _mul(scaled[i][j], inverse[j])
+    y: list[Lane] = []
+    for i in range(n):
+        y.append(_sum(right[i], *(-_mul(low[i][k], y[k]) for k in range(i))))
+    x: list[Lane] = [_mul(y[i], inverse[i]) for i in range(n)]
+    for i in reversed(range(n)):
+        x[i] = _sum(x[i], *(-_mul(low[k][i], x[k]) for k in range(i + 1, n)))
+    return x

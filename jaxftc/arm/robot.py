@@ -1,0 +1,213 @@
+"""From MJCF or URDF to ``Robot``: a compiled MuJoCo model, and the serial chain of hinges read out of it.
+
+Contacts, joint limits and dry friction as MuJoCo constraints are switched off: they bring a solver loop that has no
+reverse mode. Dry friction becomes a smooth torque, Coulomb times tanh of speed, in both engines.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+PAYLOAD = "jaxftc_payload"  # massless body at the tool, so that a payload is one mass leaf in both engines
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Link:
+    """One hinge and what it carries, in the frame at the hinge whose z axis is the hinge."""
+
+    rotation: np.ndarray  # [3, 3] this frame at zero angle, in the frame of the hinge before
+    offset: np.ndarray  # [3] m, this origin in the frame of the hinge before
+    mass: float  # kg
+    moment: np.ndarray  # [3] kg m, mass times centre of mass
+    inertia: np.ndarray  # [3, 3] kg m^2, about this origin
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Robot:
+    """A serial arm of n hinges. Static: hashed and compared by what it was compiled from."""
+
+    name: str
+    mjcf: str
+    mj_model: mujoco.MjModel = dataclasses.field(repr=False)
+    joint_names: tuple[str, ...]
+    links: tuple[Link, ...] = dataclasses.field(repr=False)
+    payload_link: Link = dataclasses.field(repr=False)  # one kilogram at the tool, in the frame of the last hinge
+    body_link: np.ndarray = dataclasses.field(repr=False)  # [bodies] hinge that moves the body, -1 for the base
+    q_zero: np.ndarray  # [n] rad, angles at which the MJCF is drawn
+    gravity: np.ndarray  # [3] m/s^2
+    armature: np.ndarray  # [n] kg m^2
+    damping: np.ndarray  # [n] N m s/rad
+    coulomb_positive: np.ndarray  # [n] N m, speed > 0
+    coulomb_negative: np.ndarray  # [n] N m, speed < 0
+    coulomb_speed: float  # rad/s, width of the tanh
+    torque_limit: np.ndarray  # [n] N m, infinite where the model gives none
+    fingerprint: str
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.links)
+
+    def __hash__(self) -> int:
+        return hash(self.fingerprint)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Robot) and other.fingerprint == self.fingerprint
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Compile a serial arm of hinges from an MJCF or URDF file.
+
+    A site named ``tool`` says where a payload sits (otherwise the last link's origin). Joint attribute ``user`` gives the
+    Coulomb torques for positive and negative speed; without it, ``frictionloss`` serves for both.
+
+    Raises:
+        ValueError: the file is not a serial arm of hinges, or MuJoCo cannot compile it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"no robot file at {path}; give an MJCF or URDF file, or 'puma560' for the built-in arm")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        raise ValueError(f"{path} does not compile: {error}") from error
+    return _from_spec(path.stem, spec, None)
+
+
+def compile_robot(name: str, mjcf: str, amend: Callable[[mujoco.MjModel], None] | None = None) -> Robot:
+    """Compile MJCF text; ``amend`` may overwrite constants that the compiler refuses."""
+    return _from_spec(name, mujoco.MjSpec.from_string(mjcf), amend)
+
+
+def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel], None] | None) -> Robot:
+    _add_payload(spec, name)
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"{name} does not compile: {error}") from error
+    if amend is not None:
+        amend(model)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    body_link = _serial_order(name, model)
+    links, payload_link = _links(model, body_link)
+    positive, negative = _coulomb(model)
+    constants = (model.body_mass, model.body_inertia, model.dof_armature, model.dof_damping, positive, negative)
+    text = spec.to_xml()
+    digest = hashlib.sha256(text.encode() + b"".join(np.asarray(c).tobytes() for c in constants))
+    return Robot(
+        name=name,
+        mjcf=text,
+        mj_model=model,
+        joint_names=tuple(model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)),
+        links=links,
+        payload_link=payload_link,
+        body_link=body_link,
+        q_zero=model.qpos0.copy(),
+        gravity=model.opt.gravity.copy(),
+        armature=model.dof_armature.copy(),
+        damping=np.asarray(model.dof_damping, float).copy(),
+        coulomb_positive=positive,
+        coulomb_negative=negative,
+        coulomb_speed=0.05,
+        torque_limit=_torque_limit(model),
+        fingerprint=digest.hexdigest()[:16],
+    )
+
+
+def _add_payload(spec: mujoco.MjSpec, name: str) -> None:
+    moving = [body for body in spec.bodies if body.joints]
+    if not moving:
+        raise ValueError(f"{name} has no joint; a serial arm of at least one hinge is needed")
+    site = next((s for s in spec.sites if s.name == "tool"), None)
+    parent, position = (site.parent, site.pos) if site is not None else (moving[-1], np.zeros(3))
+    parent.add_body(name=PAYLOAD, pos=position, ipos=np.zeros(3), explicitinertial=True)
+
+
+def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
+    """Hinge index per body; refuses anything but one chain of hinges."""
+    for j in range(model.njnt):
+        if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
+            kind = mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower()
+            raise ValueError(
+                f"{name}: joint {model.joint(j).name!r} is a {kind} joint; only hinges are supported, "
+                "so weld the base to the world and replace other joints"
+            )
+    body_link = np.full(model.nbody, -1)
+    for body in range(1, model.nbody):
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        above = body_link[model.body_parentid[body]]
+        if count and first != above + 1:
+            raise ValueError(
+                f"{name}: body {model.body(body).name!r} branches off; only one serial chain is supported, "
+                "so remove or weld the joints of the other branch"
+            )
+        body_link[body] = first + count - 1 if count else above
+    return body_link
+
+
+def _axis_frame(axis: np.ndarray) -> np.ndarray:
+    """A rotation whose third column is ``axis``; exact permutations where the axis is a coordinate axis."""
+    axis = axis / np.linalg.norm(axis)
+    other = np.roll(np.eye(3)[np.argmax(np.abs(axis))], 1)
+    first = other - axis * (other @ axis)
+    first /= np.linalg.norm(first)
+    return np.column_stack([first, np.cross(axis, first), axis])
+
+
+def _links(model: mujoco.MjModel, body_link: np.ndarray) -> tuple[tuple[Link, ...], Link]:
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    frames = [data.xmat[model.jnt_bodyid[j]].reshape(3, 3) @ _axis_frame(model.jnt_axis[j]) for j in range(model.njnt)]
+    links, before, origin = [], np.eye(3), np.zeros(3)
+    for j in range(model.njnt):
+        mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
+        for body in np.flatnonzero(body_link == j):
+            axes = frames[j].T @ data.ximat[body].reshape(3, 3)
+            com = frames[j].T @ (data.xipos[body] - data.xanchor[j])
+            part = float(model.body_mass[body])
+            mass, moment = mass + part, moment + part * com
+            inertia = inertia + axes @ np.diag(model.body_inertia[body]) @ axes.T + part * _point_inertia(com)
+        offset = before.T @ (data.xanchor[j] - origin)
+        links.append(Link(_clean(before.T @ frames[j]), _clean(offset), mass, _clean(moment), _clean(inertia)))
+        before, origin = frames[j], data.xanchor[j]
+    tool = before.T @ (data.xipos[model.body(PAYLOAD).id] - origin)
+    return tuple(links), Link(np.eye(3), np.zeros(3), 1.0, _clean(tool), _clean(_point_inertia(tool)))
+
+
+def _point_inertia(position: np.ndarray) -> np.ndarray:
+    """Inertia of one kilogram at ``position`` about the origin."""
+    return position @ position * np.eye(3) - np.outer(position, position)
+
+
+def _clean(values: np.ndarray) -> np.ndarray:
+    """Rounding dust to exact 0 and +-1, so that the unrolled chain can leave out what it multiplies by them."""
+    values = np.where(np.abs(values) < 1e-14, 0.0, values)
+    return np.where(np.abs(np.abs(values) - 1) < 1e-14, np.sign(values), values)
+
+
+def _coulomb(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    if model.nuser_jnt >= 2:
+        return model.jnt_user[:, 0].copy(), model.jnt_user[:, 1].copy()
+    return model.dof_frictionloss.copy(), model.dof_frictionloss.copy()
+
+
+def _torque_limit(model: mujoco.MjModel) -> np.ndarray:
+    """Largest torque per joint from the joint's own range or its motors; infinite where none is given."""
+    limit = np.full(model.njnt, np.inf)
+    for j in range(model.njnt):
+        if model.jnt_actfrclimited[j]:
+            limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
+    for a in range(model.nu):
+        j = int(model.actuator_trnid[a, 0])
+        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_ctrllimited[a]:
+            gear = abs(model.actuator_gear[a, 0] * model.actuator_gainprm[a, 0])
+            limit[j] = min(limit[j], gear * np.abs(model.actuator_ctrlrange[a]).max())
+    return limit

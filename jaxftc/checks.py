@@ -1,0 +1,59 @@
+"""Errors at the door: what came, what is allowed, what to do. Nothing here runs under a trace."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+
+def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
+    """Refuse a word that is not on the list, and say which one was probably meant."""
+    if value in allowed:
+        return
+    near = difflib.get_close_matches(str(value), allowed, n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}{hint}")
+
+
+def integer(name: str, value: object, low: int, why: str) -> None:
+    """Refuse anything but an integer of at least ``low``."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < low:
+        raise ValueError(f"{name} must be an integer of at least {low}, got {value!r}; {why}")
+
+
+def positive(name: str, value: float, unit: str) -> None:
+    """Refuse a number that is not finite and above zero."""
+    if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be a positive, finite number of {unit}, got {value!r}")
+
+
+def multiple(name: str, value: float, dt: float) -> int:
+    """Return value / dt as an integer, or refuse: times are never rounded silently."""
+    ticks = round(value / dt)
+    if abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
+        raise ValueError(
+            f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {ticks * dt:g} s"
+        )
+    return ticks
+
+
+def joints_first(name: str, value: object, n: int) -> None:
+    """Refuse an array whose first axis is not the n joints."""
+    shape = np.shape(value)  # pyright: ignore[reportArgumentType]
+    if not shape or shape[0] != n:
+        raise ValueError(
+            f"{name} must have the {n} joints on its first axis ([{n}] or [{n}, scenarios]), got shape {shape}"
+        )
+
+
+def finite(name: str, value: object, what_to_do: str) -> None:
+    """Refuse numbers that are not finite; values under a trace are not looked at."""
+    if isinstance(value, jax.core.Tracer):
+        return
+    array = np.asarray(value)
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite, got {array.tolist()}; {what_to_do}")

@@ -1,0 +1,54 @@
+"""The one place where functions are compiled by this library.
+
+XLA's CPU fusion emitters make a step of many small operations 20 to 140 times slower than the older code path; they are
+switched off per compilation, only on the CPU and only where the installed XLA knows the option.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+
+
+@functools.cache
+def compiler_options() -> dict[str, Any]:
+    """Options for the default backend: empty where they are unknown, so that nothing breaks."""
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x + 1, compiler_options=_CPU_OPTIONS).lower(0.0).compile()
+    except jax.errors.JaxRuntimeError:
+        return {}
+    return _CPU_OPTIONS
+
+
+def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
+    """``jax.jit`` with the options above, looked up at the first call so that importing starts no backend.
+
+    Options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` is inlined into it.
+    """
+
+    @functools.cache
+    def compiled() -> Any:
+        return jax.jit(fun, compiler_options=compiler_options(), **kwargs)
+
+    @functools.wraps(fun)
+    def call(*args: Any, **call_kwargs: Any) -> Any:
+        target = fun if is_tracing(args, call_kwargs) else compiled()
+        return target(*args, **call_kwargs)
+
+    call.lower = lambda *args, **call_kwargs: compiled().lower(*args, **call_kwargs)  # pyright: ignore[reportFunctionMemberAccess]
+    return call
+
+
+def is_tracing(*values: object) -> bool:
+    """True inside a caller's ``jit`` (where even a constant is traced) or where a value is a tracer."""
+    return isinstance(jnp.zeros(()), jax.core.Tracer) or any(
+        isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)
+    )

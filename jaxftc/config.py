@@ -1,0 +1,84 @@
+"""``Config``: what is fixed before anything is traced. Frozen and hashable, so that it is a static argument of ``jax.jit``."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from typing import Literal
+
+from jaxftc import checks
+from jaxftc.arm.plant import ENGINES, Engine
+from jaxftc.arm.robot import Robot
+from jaxftc.fuzzy.rules import TABLES
+
+Observer = Literal["pi", "eso", "ts"]
+Control = Literal["smc", "esmc", "afesmc"]
+OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")
+CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Robot, structure and timing. Everything that tuning may change is in ``Gains`` instead.
+
+    Raises:
+        ValueError: a value is not allowed; the message says which are.
+    """
+
+    robot: Robot
+    dt: float = 1e-3  # s, sample time
+    t_final: float = 1.0  # s, end of the motion, t_f of Eq. (35); a multiple of dt
+    duration: float | None = None  # s, length of a simulation, a multiple of dt; t_final if None
+    engine: Engine = "mjx"  # plant dynamics
+    observer: Observer = "ts"  # how much of the cascade runs: block 2, blocks 2 and 3, blocks 2 to 4
+    control: Control = "afesmc"  # Eq. (19), (24) or (30)
+    order_a: int = 3  # Laguerre functions on the output
+    order_b: int = 2  # Laguerre functions on the input
+    input: Literal["rigid_body", "torque"] = "rigid_body"  # what drives the ARX model
+    rules: Literal["printed", "symmetric", "s_only"] = "printed"  # Table 1 as printed, or its mended forms
+    sign: Literal["smooth", "hard"] = "smooth"  # tanh(x / eps), or the printed sgn
+    alarm_ticks: int = 3  # ticks above threshold before a torque alarm; a jump alarms at once
+    release_ticks: int = 10  # ticks below the release level before an alarm ends
+    kick_ticks: int = 60  # a torque alarm that ends sooner was a kick of the encoder, not a torque
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.robot, Robot):
+            raise ValueError(f"robot must be a Robot, got {type(self.robot).__name__}; call puma560() or load_robot(path)")
+        checks.positive("dt", self.dt, "seconds")
+        checks.positive("t_final", self.t_final, "seconds")
+        checks.multiple("t_final", self.t_final, self.dt)
+        if self.duration is not None:
+            checks.positive("duration", self.duration, "seconds")
+            checks.multiple("duration", self.duration, self.dt)
+        checks.one_of("engine", self.engine, ENGINES)
+        checks.one_of("observer", self.observer, OBSERVERS)
+        checks.one_of("control", self.control, CONTROLS)
+        checks.one_of("input", self.input, ("rigid_body", "torque"))
+        checks.one_of("rules", self.rules, tuple(TABLES))
+        checks.one_of("sign", self.sign, ("smooth", "hard"))
+        checks.integer("order_a", self.order_a, 2, "a joint is a double integrator; 3 suits it at 1 kHz")
+        checks.integer("order_b", self.order_b, 2, "a joint is a double integrator; 2 suits it at 1 kHz")
+        checks.integer("alarm_ticks", self.alarm_ticks, 1, "1 alarms at once")
+        checks.integer("release_ticks", self.release_ticks, 1, "1 releases at once")
+        checks.integer("kick_ticks", self.kick_ticks, 0, "0 switches the second look off")
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def ticks(self) -> int:
+        """Number of controller ticks in a simulation."""
+        return checks.multiple("duration", self.duration or self.t_final, self.dt)
+
+    @property
+    def inputs(self) -> int:
+        """Input signals that reach each joint's ARX model."""
+        return 1 if self.input == "rigid_body" else self.n
+
+    @property
+    def fingerprint(self) -> str:
+        """What a gains file must agree with: robot, sample time, orders and input form."""
+        parts = (self.robot.fingerprint, self.dt, self.order_a, self.order_b, self.input)
+        return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Fault-tolerant control, blocks 8 and 9."""

@@ -1,0 +1,32 @@
+"""Sliding surface, Eq. (19), and the speed it needs.
+
+The speed is predicted from the commanded acceleration and corrected by the reading's difference quotient. The prediction
+takes away the lag of a plain filter, so that the correction can be weak and the encoder's noise stays out of the torque.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jaxftc.gains import ControlGains
+from jaxftc.types import Array, Reference
+
+
+class Surface(NamedTuple):
+    """Tracking error and sliding surface; r of Eq. (19) is the tracking error, not the residual (its S-dot shows it)."""
+
+    error: Array  # [n, ...] rad, q_hat - q_ref
+    errord: Array  # [n, ...] rad/s
+    s: Array  # [n, ...] rad/s
+
+
+def speed(gains: ControlGains, qd: Array, acceleration: Array, q_before: Array, q: Array, dt: float) -> Array:
+    """Speed [n, ...] rad/s of this tick from that of the last, its acceleration [n, ...] rad/s^2 and two angles."""
+    predicted = qd + dt * acceleration
+    return predicted + gains.speed_weight * ((q - q_before) / dt - predicted)
+
+
+def surface(gains: ControlGains, q: Array, qd: Array, reference: Reference) -> Surface:
+    """s = lam error + d(error)/dt, Eq. (19)."""
+    error, errord = q - reference.q, qd - reference.qd
+    return Surface(error, errord, gains.lam * error + errord)

@@ -1,0 +1,133 @@
+"""One tick of the controller: the block diagram of Figures 1 and 8, and Algorithm 1 line by line.
+
+``step`` is what runs on a robot. It knows no plant, no fault and no scenario: only the reference, the encoder reading and
+the torque that was commanded.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxftc import checks, smooth
+from jaxftc.arm import chain, plant
+from jaxftc.config import Config
+from jaxftc.control import sliding, surface
+from jaxftc.diagnosis import decide, residual, threshold
+from jaxftc.gains import Gains, align
+from jaxftc.gains import check as check_gains
+from jaxftc.observer import cascade
+from jaxftc.types import Array, Measurement, Output, Reference
+
+
+class Pending(NamedTuple):
+    """The last command: the observer learns what came of it only with the next measurement."""
+
+    tau: Array  # [n, ...] N m, before the limits
+    qdd: Array  # [n, ...] rad/s^2, acceleration that tau was computed for
+    psi: Array  # [n, ...] rad/s^2, fault estimate
+    mass: Array  # [n, n, ...] kg m^2, nominal inertia
+
+
+class State(NamedTuple):
+    """What the next tick needs."""
+
+    observer: cascade.State
+    threshold: threshold.State
+    decide: decide.State
+    pending: Pending
+    q: Array  # [n, ...] rad, angle the speed was taken from
+    qd: Array  # [n, ...] rad/s
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
+
+    Raises:
+        ValueError: q has the wrong shape or is not finite, or a gain is not allowed.
+    """
+    checks.joints_first("q", q, config.n)
+    checks.finite("q", q, "give the arm's measured angles in rad")
+    check_gains(config, gains)
+    q = jnp.asarray(q, gains.arx.xi_a.dtype)
+    gains = align(gains, q.ndim - 1)
+    at, zero = chain.pose(config.robot, q), jnp.zeros_like(q)
+    mass = plant.nominal_mass(config.robot, at)
+    pending = Pending(plant.nominal_torque(config.robot, at, zero, zero), zero, zero, _pack(mass, q))
+    return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, q, zero)
+
+
+def step(
+    config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement
+) -> tuple[State, Output]:
+    """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1.
+
+    Raises:
+        ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``).
+    """
+    for name, signal in (("measurement.q", measurement.q), ("measurement.tau", measurement.tau), ("reference.q", reference.q)):
+        checks.joints_first(name, signal, config.n)
+    axes = state.q.ndim - 1
+    gains = align(gains, axes)
+    robot = config.robot
+
+    drive, qdd_before = _commanded(config, state.pending, measurement.tau)  # Eqs. (2), (3)
+    observer = cascade.drive(gains, state.observer, drive)  # line 1
+    observer, seen = cascade.explain(config, gains, observer, measurement.q)  # lines 2 to 4, 7
+    at = chain.pose(robot, seen.q_hat)
+    mass = plant.nominal_mass(robot, at)
+    residuals = residual.generate(mass, seen.psi, seen.y, seen.y_hat)  # line 5
+    observer = cascade.adapt(config, gains, observer, seen, residuals.tau)
+
+    raw = config.control == "smc"
+    q = seen.y if raw else seen.q_hat
+    believed = qdd_before if raw else qdd_before + state.pending.psi
+    qd = surface.speed(gains.control, state.qd, believed, state.q, q, config.dt)
+    sliding_surface = surface.surface(gains.control, q, qd, reference)
+    command = sliding.law(config, gains.control, sliding_surface, q, seen.psi, reference)  # lines 10 to 12
+    tau = plant.nominal_torque(robot, chain.pose(robot, q) if raw else at, qd, command.qdd)
+    tau = tau + plant.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
+
+    judged = seen.b if config.observer == "ts" else residuals.q  # b is the cleaner one where there is one
+    thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, residuals.tau, judged)  # line 6
+    decided, verdict = decide.step(config, gains, state.decide, s_tau, s_q, seen.y, seen.jump.h_s, qd)  # lines 8, 9
+
+    output = Output(
+        tau=smooth.saturate(tau, chain.trailing_constant(robot.torque_limit, tau)),
+        fault_tau_hat=residuals.tau,
+        fault_q_hat=seen.b,
+        residual_tau=residuals.tau,
+        residual_q=residuals.q,
+        statistic_tau=s_tau,
+        statistic_q=s_q,
+        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, tau.shape),
+        threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
+        verdict=verdict,
+        detected=(verdict > 0).any(0),
+        q_hat=seen.q_hat,
+        qd_hat=qd,
+        s=sliding_surface.s,
+        alpha_online=command.alpha_online,
+    )
+    pending = Pending(tau, command.qdd, seen.psi, _pack(mass, tau))
+    return State(observer, thresholds, decided, pending, q, qd), output
+
+
+def _commanded(config: Config, pending: Pending, tau: Array) -> tuple[Array, Array]:
+    """Input of the ARX model and acceleration [n, ...] rad/s^2 of the last tick, for the torque that was really commanded.
+
+    The command was computed for ``pending.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
+    A torque that is not finite counts as the command itself.
+    """
+    tau = jnp.where(jnp.isfinite(tau), tau, pending.tau)
+    rows = [chain.lanes(row) for row in chain.lanes(pending.mass)]
+    qdd = pending.qdd + jnp.stack(chain.solve(rows, chain.lanes(tau - pending.tau)))
+    if config.input == "rigid_body":
+        return qdd + pending.psi, qdd
+    return tau + residual.torque(rows, pending.psi), qdd
+
+
+def _pack(mass: list[list[chain.Lane]], like: Array) -> Array:
+    """n x n lanes as one array [n, n, ...]."""
+    return jnp.stack([jnp.stack([jnp.broadcast_to(m, like.shape[1:]).astype(like.dtype) for m in row]) for row in mass])

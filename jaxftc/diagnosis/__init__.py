@@ -1,0 +1,1 @@
+"""Fault diagnosis, blocks 5 to 7: residuals, thresholds, decision logic."""

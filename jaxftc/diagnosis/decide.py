@@ -1,0 +1,83 @@
+"""Decision logic, Eqs. (17), (18), block 7: two alarms per joint, one verdict.
+
+An alarm rises when |S| stays at its threshold for a few ticks (at once on the encoder channel, where a jump decides) and
+ends below 0.7 of it. Slow encoder faults do not jump far enough, so the torque channel sees them first; a second look then
+takes them for what they are:
+
+* **kick**: the onset of a drift changes the reading's speed, which looks like a torque until the observer has settled, and
+  then like nothing. A torque that is really there stays. An alarm shorter than ``config.kick_ticks`` was a kick;
+* **freeze**: equal readings while the arm was moving by more than a jump's worth since the last change;
+* **noise**: many jumps in a tenth of a second.
+
+Limits: a torque pulse shorter than ``kick_ticks`` changes the speed just as a drift does and is called one; encoders alone
+cannot tell them apart. Decisions are comparisons: no gradient passes through a verdict (tune on the statistics instead).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxftc.config import Config
+from jaxftc.gains import Gains
+from jaxftc.types import Array
+
+RELEASE = 0.7  # share of the threshold below which an alarm ends
+FROZEN_READINGS = 5
+NOISY_JUMPS = 8.0
+JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
+
+
+class State(NamedTuple):
+    """Alarms, run lengths and what the second look remembers; all [n, ...], float so that they mix with the signals."""
+
+    tau_on: Array  # 1 while the torque alarm is up
+    tau_run: Array  # ticks in a row that speak against the torque alarm's present state
+    q_on: Array  # 1 while the encoder alarm is up
+    q_run: Array
+    age: Array  # ticks since the torque alarm rose
+    kicked: Array  # 1 once an alarm was found to be a kick, until the encoder alarm has spoken for itself
+    jumps: Array  # leaky count of booked jumps
+    y: Array  # rad, last reading
+    equal: Array  # readings in a row that did not change
+    speed: Array  # rad/s, when the reading last changed
+
+
+def init(q: Array) -> State:
+    """No alarm."""
+    zero = jnp.zeros_like(q)
+    return State(zero, zero, zero, zero, zero, zero, zero, q, zero, zero)
+
+
+def step(
+    config: Config, gains: Gains, state: State, s_tau: Array, s_q: Array, y: Array, h_s: Array, qd_hat: Array
+) -> tuple[State, Array]:
+    """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad; y rad, h_s and qd_hat rad/s feed the second look."""
+    s_tau, s_q, y, h_s, qd_hat = jax.lax.stop_gradient((s_tau, s_q, y, h_s, qd_hat))
+    level = jax.lax.stop_gradient(gains.diagnosis)
+    tau_on, tau_run = _alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
+    q_on, q_run = _alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
+    age = jnp.where(tau_on > 0, state.age + 1, 0.0)
+    ended_early = (state.tau_on > 0) & (tau_on == 0) & (state.age < config.kick_ticks)
+    kicked = jnp.where(ended_early, 1.0, jnp.where(q_on > 0, 0.0, state.kicked))
+    jumps = JUMP_MEMORY * state.jumps + h_s
+    unchanged = y == state.y
+    equal = jnp.where(unchanged, state.equal + 1, 0.0)
+    speed = jnp.where(unchanged, state.speed, qd_hat)
+    moved = equal * config.dt * jnp.abs(speed)
+    frozen = (equal >= FROZEN_READINGS) & (moved > jax.lax.stop_gradient(gains.observer.jump))
+    slow = frozen | (jumps >= NOISY_JUMPS) | (kicked > 0)
+    sensor = (q_on > 0) | slow
+    actuator = (tau_on > 0) & ~frozen  # a frozen reading explains the torque residual it causes
+    verdict = actuator.astype(jnp.int32) + 2 * sensor.astype(jnp.int32)  # Eq. (18)
+    return State(tau_on, tau_run, q_on, q_run, age, kicked, jumps, y, equal, speed), verdict
+
+
+def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, fall: int) -> tuple[Array, Array]:
+    """Two-level switch with persistence: (alarm, run length), Eq. (17) with |S|."""
+    against = jnp.where(on > 0, jnp.abs(s) < RELEASE * alpha, jnp.abs(s) >= alpha)
+    run = jnp.where(against, run + 1, 0.0)
+    flips = run >= jnp.where(on > 0, fall, rise)
+    return jnp.where(flips, 1 - on, on), jnp.where(flips, 0.0, run)

@@ -1,0 +1,1 @@
+"""Faults and scenarios: data, so that one compiled program serves every kind."""

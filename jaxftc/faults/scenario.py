@@ -1,0 +1,92 @@
+"""Scenarios: one motion, its faults and how the arm differs from its model; a batch has a leading axis.
+
+``paper`` is the paper's experiment, Eqs. (36) to (39): healthy, actuator, sensor, both, on all joints from 0.1 to 0.25 s,
+with an exact model. The paper prints the actuator fault in degrees and the sensor fault in N m; an actuator fault is a
+torque and an encoder fault an angle, so the units are swapped here and the magnitudes kept.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxftc import checks
+from jaxftc.arm.plant import Plant, nominal_plant
+from jaxftc.config import Config
+from jaxftc.faults.kinds import Actuator, Fault, Sensor, no_fault
+from jaxftc.reference import PAPER_GOAL, PAPER_START
+from jaxftc.types import Array
+
+CONDITIONS = ("healthy", "actuator", "sensor", "both")
+PRESETS = ("paper",)
+ENCODER_NOISE = 3e-5  # rad, standard deviation
+PAPER_TORQUE, PAPER_ANGLE = 5.0, math.radians(1.5)  # N m and rad, Eqs. (37), (38) with their units swapped
+PAPER_WINDOW = (0.1, 0.25)  # s
+
+
+class Scenario(NamedTuple):
+    """Everything that differs from run to run."""
+
+    id: Array  # [...] int32; the noise depends on the key and on this, not on the place in a batch
+    q_start: Array  # [n, ...] rad
+    q_goal: Array  # [n, ...] rad
+    noise: Array  # [...] rad, standard deviation of the encoder
+    fault_tau: Fault
+    fault_q: Fault
+    plant: Plant
+
+
+def paper_scenario(
+    condition: str, config: Config, *, torque: float = PAPER_TORQUE, angle: float = PAPER_ANGLE, scenario_id: int = 0
+) -> Scenario:
+    """One of the paper's four conditions; torque N m and angle rad are the sizes of its faults.
+
+    Raises:
+        ValueError: an unknown condition, or a robot without the paper's six joints.
+    """
+    checks.one_of("condition", condition, CONDITIONS)
+    n = config.n
+    if n != len(PAPER_START):
+        raise ValueError(f"the paper's motion is for {len(PAPER_START)} joints, {config.robot.name!r} has {n}; build a Scenario")
+    healthy = no_fault(n)
+    window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
+
+    def bias(kind: int, size: float) -> Fault:
+        return healthy._replace(kind=jnp.full(n, kind, jnp.int32), magnitude=jnp.full(n, float(size)), **window)
+
+    return Scenario(
+        id=jnp.asarray(scenario_id, jnp.int32),
+        q_start=jnp.asarray(PAPER_START, float),
+        q_goal=jnp.asarray(PAPER_GOAL, float),
+        noise=jnp.asarray(ENCODER_NOISE, float),
+        fault_tau=bias(Actuator.BIAS, torque) if condition in ("actuator", "both") else healthy,
+        fault_q=bias(Sensor.BIAS, angle) if condition in ("sensor", "both") else healthy,
+        plant=nominal_plant(config.robot),
+    )
+
+
+def sample_scenarios(key: Array, n: int, preset: str = "paper", *, config: Config) -> Scenario:
+    """n scenarios with a leading axis. Preset ``paper`` deals the four conditions in turn and draws nothing from ``key``.
+
+    Raises:
+        ValueError: an unknown preset, or n below 1.
+    """
+    del key  # the paper's conditions are fixed; only their noise differs, and that is drawn in simulate
+    checks.one_of("preset", preset, PRESETS)
+    checks.integer("n", n, 1, "it is the number of scenarios")
+    four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
+    ids = jnp.arange(n, dtype=jnp.int32)
+    return jax.tree.map(lambda leaf: leaf[ids % 4], four)._replace(id=ids)
+
+
+def stack(scenarios: list[Scenario]) -> Scenario:
+    """Scenarios as one with a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios)
+
+
+def trail(scenarios: Scenario) -> Scenario:
+    """From a leading scenario axis, as sampled, to a trailing one, as simulated."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), scenarios)

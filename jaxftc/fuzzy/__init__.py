@@ -1,0 +1,1 @@
+"""Gaussian fuzzy inference: grades, the Takagi-Sugeno rules of the observer, and Table 1."""

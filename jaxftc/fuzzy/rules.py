@@ -1,0 +1,58 @@
+"""Table 1: the switching gain's rule base, as printed and mended, and its inference, Eqs. (32), (33).
+
+Rows are joint position NB to PB, columns the sliding surface NB to PB, entries the output set: 0 = PS, 1 = PM, 2 = PB.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.fuzzy.membership import shares
+from jaxftc.types import Array
+
+LABELS = ("NB", "NM", "NS", "Z", "PS", "PM", "PB")
+PRINTED = np.array(
+    [
+        [2, 2, 2, 2, 1, 0, 0],
+        [2, 2, 2, 1, 1, 0, 0],
+        [2, 2, 2, 1, 0, 0, 0],
+        [2, 2, 1, 0, 0, 0, 0],
+        [1, 0, 0, 0, 1, 2, 2],
+        [0, 0, 1, 1, 2, 2, 2],
+        [0, 0, 1, 2, 2, 2, 2],
+    ]
+)
+
+
+def _symmetric() -> np.ndarray:
+    """The printed table with rows NS, Z, PS mended, so that (-q, -s) gives what (q, s) gives.
+
+    PS becomes the point reflection of NS. Z, which must mirror itself, keeps its printed half for s <= 0.
+    """
+    table = PRINTED.copy()
+    table[4] = table[2][::-1]
+    table[3, 4:] = table[3, 2::-1]
+    return table
+
+
+def _s_only() -> np.ndarray:
+    """Gain by distance from the surface alone: the mended Z row in every row."""
+    return np.tile(_symmetric()[3], (7, 1))
+
+
+TABLES = {"printed": PRINTED, "symmetric": _symmetric(), "s_only": _s_only()}
+
+
+def infer(table: np.ndarray, q: Array, s: Array, q_sets: tuple[Array, Array], s_sets: tuple[Array, Array], outputs: Array) -> Array:
+    """Centre average of the 49 rules, [n, ...], from q [n, ...] rad and s [n, ...] rad/s, Eq. (33).
+
+    X in Eq. (33) is read as the centre of the output set (as printed, max of a grade, it is 1 whatever the rule says).
+    Separable: for each q set the s shares are first added up by output level.
+    """
+    q_share, s_share = shares(q, *q_sets), shares(s, *s_sets)
+    total = jnp.zeros(jnp.broadcast_shapes(q.shape, s.shape), q_share.dtype)
+    for row, share in zip(table, q_share, strict=True):
+        levels = [sum(s_share[j] for j in np.flatnonzero(row == level)) for level in range(3)]
+        total = total + share * sum(outputs[level] * grade for level, grade in enumerate(levels))
+    return total

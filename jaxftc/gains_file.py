@@ -1,0 +1,71 @@
+"""Gains to and from a TOML file that says what each number is."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from jaxftc.config import Config
+from jaxftc.gains import BLOCKS, Gains, Spec, build, specs
+from jaxftc.version import __version__
+
+
+def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
+    """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds the fingerprint to check."""
+    header: dict[str, Any] = {"jaxftc": __version__}
+    if config is not None:
+        header |= {"robot": config.robot.name, "fingerprint": config.fingerprint}
+    table: dict[str, Any] = {"made_with": header}
+    for block, name, spec in specs():
+        value = np.asarray(getattr(getattr(gains, block), name), float).tolist()
+        table.setdefault(block, {})[name] = {"unit": spec.unit, "value": value}
+    path = Path(path)
+    aside = path.with_suffix(path.suffix + ".tmp")
+    aside.write_text(tomli_w.dumps(table))
+    os.replace(aside, path)
+
+
+def load_gains(path: str | Path, config: Config) -> Gains:
+    """Read gains from a TOML file written by ``save_gains``; every gain must be there and nothing else.
+
+    Raises:
+        ValueError: unreadable file, unknown or missing gain, wrong unit, wrong shape, or gains of another robot or orders.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text())
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"cannot read gains from {path}: {error}") from error
+    made_with = table.pop("made_with", {})
+    if made_with.get("fingerprint", config.fingerprint) != config.fingerprint:
+        raise ValueError(
+            f"{path} holds gains for another robot, sample time, orders or input (robot {made_with.get('robot')!r}); "
+            f"this config is for {config.robot.name!r}, so use the config they were made with"
+        )
+    known = {(block, name): spec for block, name, spec in specs()}
+    values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
+    for block, entries in table.items():
+        for name, entry in entries.items() if isinstance(entries, dict) else ((entries, None),):
+            values_of = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
+            values[block][name] = values_of
+    missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
+    if missing:
+        raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
+    return build(config, values)
+
+
+def _read_entry(path: str | Path, name: str, entry: Any, spec: Spec | None, known: dict[tuple[str, str], Spec]) -> np.ndarray:
+    if spec is None:
+        near = difflib.get_close_matches(name, [".".join(k) for k in known], n=1)
+        raise ValueError(f"{path}: unknown gain {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+    if not isinstance(entry, dict) or set(entry) != {"unit", "value"} or entry["unit"] != spec.unit:
+        raise ValueError(f"{path}: {name} must be a table of unit = {spec.unit!r} and value, got {entry!r}")
+    try:
+        return np.asarray(entry["value"], float)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {name} must hold numbers, got {entry['value']!r}") from error

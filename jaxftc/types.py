@@ -1,0 +1,61 @@
+"""Signals that cross a door, and the one contract that every block keeps.
+
+A block is a module with ``init(config, gains, ...) -> State`` and ``step(config, gains, state, *signals) -> (State, Info)``.
+``State`` is what the next tick needs, ``Info`` is what the next block or a plot needs. Every array is ``[n, ...]``: joints
+first, any trailing axes are scenarios. Units are rad, N m, s and kg throughout.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+Array = jax.Array
+
+NORMAL, ACTUATOR, SENSOR, BOTH = range(4)
+VERDICTS = ("normal", "actuator", "sensor", "both")
+
+
+class Reference(NamedTuple):
+    """Desired motion at one tick."""
+
+    q: Array  # [n, ...] rad
+    qd: Array  # [n, ...] rad/s
+    qdd: Array  # [n, ...] rad/s^2
+
+
+class Measurement(NamedTuple):
+    """What the controller is told at one tick. A value that is not finite is held on prediction."""
+
+    q: Array  # [n, ...] rad, encoder reading
+    tau: Array  # [n, ...] N m, torque commanded in the last tick
+
+
+class Output(NamedTuple):
+    """What one tick of the controller says."""
+
+    tau: Array  # [n, ...] N m, torque command within the limits
+    fault_tau_hat: Array  # [n, ...] N m, estimated actuator fault
+    fault_q_hat: Array  # [n, ...] rad, estimated encoder fault
+    residual_tau: Array  # [n, ...] N m, Eq. (13), torque channel
+    residual_q: Array  # [n, ...] rad, Eq. (13), encoder channel
+    statistic_tau: Array  # [n, ...] N m, S of Eq. (14); alarm when |S| reaches threshold_tau
+    statistic_q: Array  # [n, ...] rad
+    threshold_tau: Array  # [n, ...] N m
+    threshold_q: Array  # [n, ...] rad
+    verdict: Array  # [n, ...] int32: 0 normal, 1 actuator, 2 sensor, 3 both, Eq. (18)
+    detected: Array  # [...] bool, any joint not normal, Eq. (17)
+    q_hat: Array  # [n, ...] rad, encoder reading less its estimated fault
+    qd_hat: Array  # [n, ...] rad/s
+    s: Array  # [n, ...] rad/s, sliding surface, Eq. (19)
+    alpha_online: Array  # [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not used
+
+
+def trailing(leaf: Array, rank: int, axes: int) -> Array:
+    """Give a constant of own rank ``rank`` the singleton scenario axes it lacks: [n] -> [n, 1, ...].
+
+    A leaf that has scenario axes of its own keeps them.
+    """
+    return jnp.reshape(leaf, leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))
