@@ -6,8 +6,8 @@ import difflib
 import math
 from collections.abc import Sequence
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 
 def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
@@ -35,24 +35,20 @@ def multiple(name: str, value: float, dt: float) -> int:
     """Return value / dt as an integer, or refuse: times are never rounded silently."""
     ticks = round(value / dt)
     if abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
-        raise ValueError(
-            f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {ticks * dt:g} s"
-        )
+        raise ValueError(f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {ticks * dt:g} s")
     return ticks
 
 
 def joints_first(name: str, value: object, n: int) -> None:
     """Refuse an array whose first axis is not the n joints."""
-    shape = np.shape(value)  # pyright: ignore[reportArgumentType]
+    shape = tuple(np.shape(value))  # pyright: ignore[reportArgumentType, reportCallIssue]
     if not shape or shape[0] != n:
-        raise ValueError(
-            f"{name} must have the {n} joints on its first axis ([{n}] or [{n}, scenarios]), got shape {shape}"
-        )
+        raise ValueError(f"{name} must have the {n} joints on its first axis ([{n}] or [{n}, scenarios]), got shape {shape}")
 
 
 def finite(name: str, value: object, what_to_do: str) -> None:
     """Refuse numbers that are not finite; values under a trace are not looked at."""
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return
     array = np.asarray(value)
     if not np.isfinite(array).all():

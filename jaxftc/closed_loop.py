@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxftc import checks, controller, reference, smooth
 from jaxftc.arm import chain, plant
-from jaxftc.compile import is_tracing, jit
+from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.faults import inject
 from jaxftc.faults.kinds import Fault
@@ -90,23 +90,29 @@ def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Arr
     axes, robot = loop.q.ndim - 1, config.robot
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
     fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, noise)
-    desired = reference.cubic(
-        trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t
-    )
+    desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
     state, out = controller.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
     fault, delivered = inject.deliver(fault_tau, fault, t, out.tau, limit)
     q, qd = plant.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, constant * delivered, config.dt)
     trace = Trace(
-        t=t, q=loop.q, qd=loop.qd, y=y, q_ref=desired.q, tau_applied=constant * delivered,
-        fault_tau=delivered - out.tau, fault_q=angle_fault, out=out,
+        t=t,
+        q=loop.q,
+        qd=loop.qd,
+        y=y,
+        q_ref=desired.q,
+        tau_applied=constant * delivered,
+        fault_tau=delivered - out.tau,
+        fault_q=angle_fault,
+        out=out,
     )
     return Loop(q, qd, out.tau, fault, state), trace
 
 
 def encoder_noise(config: Config, scenario: Scenario, key: Array, dtype: jnp.dtype) -> Array:
     """Noise [T, n, ...] rad, a function of the key and of each scenario's id alone."""
+
     def one(scenario_id: Array) -> Array:
         return jax.random.normal(jax.random.fold_in(key, scenario_id), (config.ticks, config.n), dtype)
 

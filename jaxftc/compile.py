@@ -12,6 +12,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 _CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
 
@@ -43,12 +44,9 @@ def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
         target = fun if is_tracing(args, call_kwargs) else compiled()
         return target(*args, **call_kwargs)
 
-    call.lower = lambda *args, **call_kwargs: compiled().lower(*args, **call_kwargs)  # pyright: ignore[reportFunctionMemberAccess]
     return call
 
 
 def is_tracing(*values: object) -> bool:
     """True inside a caller's ``jit`` (where even a constant is traced) or where a value is a tracer."""
-    return isinstance(jnp.zeros(()), jax.core.Tracer) or any(
-        isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)
-    )
+    return isinstance(jnp.zeros(()), Tracer) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))

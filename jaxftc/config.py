@@ -1,4 +1,4 @@
-"""``Config``: what is fixed before anything is traced. Frozen and hashable, so that it is a static argument of ``jax.jit``."""
+"""``Config``: what is fixed before anything is traced. Frozen and hashable: a static argument of ``jax.jit``."""
 
 from __future__ import annotations
 

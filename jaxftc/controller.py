@@ -58,15 +58,17 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, q, zero)
 
 
-def step(
-    config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement
-) -> tuple[State, Output]:
+def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1.
 
     Raises:
         ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``).
     """
-    for name, signal in (("measurement.q", measurement.q), ("measurement.tau", measurement.tau), ("reference.q", reference.q)):
+    for name, signal in (
+        ("measurement.q", measurement.q),
+        ("measurement.tau", measurement.tau),
+        ("reference.q", reference.q),
+    ):
         checks.joints_first(name, signal, config.n)
     axes = state.q.ndim - 1
     gains = align(gains, axes)
@@ -129,5 +131,5 @@ def _commanded(config: Config, pending: Pending, tau: Array) -> tuple[Array, Arr
 
 
 def _pack(mass: list[list[chain.Lane]], like: Array) -> Array:
-    """n x n lanes as one array [n, n, ...]."""
+    """N x n lanes as one array [n, n, ...]."""
     return jnp.stack([jnp.stack([jnp.broadcast_to(m, like.shape[1:]).astype(like.dtype) for m in row]) for row in mass])

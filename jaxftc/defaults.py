@@ -27,7 +27,9 @@ def default_gains(config: Config) -> Gains:
 
 
 def _exact_kappa(config: Config, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    kappa_a, kappa_b = (np.asarray(k, float) for k in arx.exact_kappa(np.asarray(xi), config.order_a, config.order_b, config.dt))  # pyright: ignore[reportArgumentType]
+    kappa_a, kappa_b = (
+        np.asarray(k, float) for k in arx.exact_kappa(np.asarray(xi), config.order_a, config.order_b, config.dt)
+    )  # pyright: ignore[reportArgumentType]
     if config.input == "rigid_body":
         return kappa_a, kappa_b[:, None]
     mass = np.zeros((config.n, config.n))

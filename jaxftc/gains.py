@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxftc.config import Config
 from jaxftc.types import Array, trailing
@@ -30,7 +31,9 @@ class Spec(NamedTuple):
     open_low: bool
 
 
-def _gain(axes: str, unit: str, default: Any, low: float = -math.inf, high: float = math.inf, *, above: float | None = None) -> Any:
+def _gain(
+    axes: str, unit: str, default: Any, low: float = -math.inf, high: float = math.inf, *, above: float | None = None
+) -> Any:
     spec = Spec(tuple(axes.split()), unit, default, low if above is None else above, high, above is not None)
     return dataclasses.field(metadata={"spec": spec})
 
@@ -58,14 +61,16 @@ class ArxGains:
 class ObserverGains:
     """Blocks 2 to 4, Eqs. (6) to (10). Gains act per tick."""
 
-    alpha_p: Array = _gain("n", "1", 0.5, above=0.0, high=1.0)  # correction weight, Eq. (6)
-    alpha_i: Array = _gain("n", "1/s^2", 500.0, low=0.0)  # integral, Eq. (6)
-    alpha_sm: Array = _gain("n", "rad^0.5/s^2", 100.0, low=0.0)  # super-twisting root, Eq. (7)
-    alpha_sm0: Array = _gain("n", "rad/s^3", 20.0, low=0.0)  # super-twisting integral, Eq. (7)
+    alpha_p: Array = _gain("n", "1", 0.7, above=0.0, high=1.0)  # correction weight, Eq. (6)
+    alpha_i: Array = _gain("n", "1/s^2", 680.0, low=0.0)  # integral, Eq. (6)
+    alpha_sm: Array = _gain("n", "rad^0.5/s^2", 120.0, low=0.0)  # super-twisting root, Eq. (7)
+    alpha_sm0: Array = _gain("n", "rad/s^3", 30.0, low=0.0)  # super-twisting integral, Eq. (7)
     eps: Array = _gain("n", "rad", 1e-3, above=0.0)  # width of the smooth sgn of the innovation
-    alpha_f1: Array = _gain("n", "1/s^2", 500.0, low=0.0)  # consequent of the actuator rule, Eq. (9)
-    alpha_f2: Array = _gain("n", "1", 1.0, low=0.0, high=1.0)  # consequent of the sensor rule: share of a jump booked as fault
-    alpha_f3: Array = _gain("n", "1/s^2", 500.0, low=0.0)  # consequent of the actuator-and-sensor rule, Eq. (9)
+    alpha_f1: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator rule, Eq. (9)
+    alpha_f2: Array = _gain(
+        "n", "1", 1.0, low=0.0, high=1.0
+    )  # consequent of the sensor rule: share of a jump booked as fault
+    alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator-and-sensor rule, Eq. (9)
     leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0)  # l, forgetting of the fuzzy estimate per tick
     jump: Array = _gain("n", "rad", 8e-4, above=0.0)  # jump that is surely the encoder's; graded 1/2 at half of it
     tau_centres: Array = _gain("2", "1", (0.0, 1.0))  # sets "zero", "at threshold" of |residual_tau| / alpha_tau
@@ -95,7 +100,7 @@ class ControlGains:
     alpha_sm2: Array = _gain("n", "rad/s^2", 10.0, low=0.0)  # switching gain of ESMC and AFESMC
     k_b: Array = _gain("n", "1/s", 0.0, low=0.0)  # linear reaching term; the paper's K_beta, which only its proof has
     eps: Array = _gain("n", "rad/s", 0.5, above=0.0)  # boundary layer of sgn(s)
-    speed_weight: Array = _gain("n", "1", 0.3, above=0.0, high=1.0)  # weight of the measured against the predicted speed
+    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0)  # weight of the measured against the predicted speed
     q_centres: Array = _gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS))  # Table 1, sets NB to PB
     q_widths: Array = _gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0)
     s_centres: Array = _gain("7", "rad/s", tuple(_S_RANGE * c for c in _THIRDS))
@@ -145,8 +150,12 @@ def build(config: Config, values: dict[str, dict[str, Any]]) -> Gains:
 def align(gains: Gains, axes: int) -> Gains:
     """Give every leaf the singleton scenario axes it lacks, so that blocks simply broadcast."""
     blocks = {
-        block: cls(**{f.name: trailing(getattr(getattr(gains, block), f.name), len(f.metadata["spec"].axes), axes)
-                      for f in dataclasses.fields(cls)})
+        block: cls(
+            **{
+                f.name: trailing(getattr(getattr(gains, block), f.name), len(f.metadata["spec"].axes), axes)
+                for f in dataclasses.fields(cls)
+            }
+        )
         for block, cls in BLOCKS.items()
     }
     return Gains(**blocks)
@@ -163,7 +172,7 @@ def check(config: Config, gains: Gains) -> None:
         shape = shape_of(config, spec)
         if jnp.shape(leaf)[: len(shape)] != shape:
             raise ValueError(f"{path} must have shape {list(shape)}, got {list(jnp.shape(leaf))}; n is {config.n} joints")
-        if not isinstance(leaf, jax.core.Tracer):
+        if not isinstance(leaf, Tracer):
             _check_values(path, np.asarray(leaf), spec)
 
 

@@ -59,7 +59,9 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     return build(config, values)
 
 
-def _read_entry(path: str | Path, name: str, entry: Any, spec: Spec | None, known: dict[tuple[str, str], Spec]) -> np.ndarray:
+def _read_entry(
+    path: str | Path, name: str, entry: Any, spec: Spec | None, known: dict[tuple[str, str], Spec]
+) -> np.ndarray:
     if spec is None:
         near = difflib.get_close_matches(name, [".".join(k) for k in known], n=1)
         raise ValueError(f"{path}: unknown gain {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))

@@ -187,7 +187,7 @@ def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> list[list[La
     """M(q) of the links alone as n x n lanes, by composite inertias from the tool to the base."""
     n = robot.n
     matrix: list[list[Lane]] = [[0.0] * n for _ in range(n)]
-    composite = Inertia(0.0, ZERO, (0.0,) * 6)
+    composite = Inertia(0.0, ZERO, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     for i in reversed(range(n)):
         composite = _join(composite, inertias[i])
         force: Vector = (-composite.moment[1], composite.moment[0], 0.0)
@@ -220,7 +220,7 @@ def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia
 
 
 def solve(matrix: list[list[Lane]], right: list[Lane]) -> list[Lane]:
-    """x of M x = b for a symmetric positive definite M, by an unrolled LDL^T without square roots."""
+    """X of M x = b for a symmetric positive definite M, by an unrolled LDL^T without square roots."""
     n = len(right)
     low: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     scaled: list[list[Lane]] = [[0.0] * n for _ in range(n)]

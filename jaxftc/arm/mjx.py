@@ -40,8 +40,10 @@ def mass_and_bias(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array
     ``mass`` [n, ...] scales every link, ``payload`` [...] kg sits at the tool.
     """
     axes = q.shape[1:]
-    flat = [jnp.broadcast_to(x, x.shape[:rank] + axes).reshape(x.shape[:rank] + (-1,))
-            for x, rank in ((mass, 1), (payload, 0), (q, 1), (qd, 1))]
+    flat = [
+        jnp.broadcast_to(x, x.shape[:rank] + axes).reshape((*x.shape[:rank], -1))
+        for x, rank in ((mass, 1), (payload, 0), (q, 1), (qd, 1))
+    ]
     one = functools.partial(_one_arm, robot)
     matrix, bias = jax.vmap(one, in_axes=-1, out_axes=-1)(*flat)
     return matrix.reshape(matrix.shape[:2] + axes), bias.reshape(bias.shape[:1] + axes)
@@ -49,7 +51,7 @@ def mass_and_bias(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array
 
 def _one_arm(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array) -> tuple[Array, Array]:
     mjx = _mjx()
-    model, data = _model(robot, jax.config.jax_enable_x64)
+    model, data = _model(robot, bool(jax.config.read("jax_enable_x64")))
     scale = jnp.concatenate([mass, jnp.ones(1, mass.dtype)])[robot.body_link]  # body -1, the base, reads the last
     is_payload = np.arange(robot.mj_model.nbody) == robot.mj_model.body(PAYLOAD).id
     model = model.replace(

@@ -51,7 +51,7 @@ def coulomb(robot: Robot, qd: Array, speed: float | None = None) -> Array:
 
 
 def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float = 0.0) -> Array:
-    """qdd [n, ...] rad/s^2 for a delivered torque; with dt > 0 viscous friction acts implicitly, as MuJoCo's Euler does."""
+    """Qdd [n, ...] rad/s^2 for a delivered torque; with dt > 0 viscous friction acts implicitly, as MuJoCo's Euler does."""
     plant = _align(plant, qd.ndim - 1)
     damping = plant.damping * chain.trailing_constant(robot.damping, qd)
     armature = plant.armature * chain.trailing_constant(robot.armature, qd)
@@ -70,9 +70,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
     return jnp.stack(chain.solve(rows, chain.lanes(drive)))
 
 
-def advance(
-    robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float
-) -> tuple[Array, Array]:
+def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:
     """(q, qd) one tick later under a held torque: semi-implicit Euler, the same scheme as ``mj_step``."""
     qd_next = qd + dt * acceleration(robot, engine, plant, q, qd, tau, dt)
     return q + dt * qd_next, qd_next

@@ -27,6 +27,6 @@ def speed(gains: ControlGains, qd: Array, acceleration: Array, q_before: Array, 
 
 
 def surface(gains: ControlGains, q: Array, qd: Array, reference: Reference) -> Surface:
-    """s = lam error + d(error)/dt, Eq. (19)."""
+    """S = lam error + d(error)/dt, Eq. (19)."""
     error, errord = q - reference.q, qd - reference.qd
     return Surface(error, errord, gains.lam * error + errord)

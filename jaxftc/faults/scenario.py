@@ -50,7 +50,9 @@ def paper_scenario(
     checks.one_of("condition", condition, CONDITIONS)
     n = config.n
     if n != len(PAPER_START):
-        raise ValueError(f"the paper's motion is for {len(PAPER_START)} joints, {config.robot.name!r} has {n}; build a Scenario")
+        raise ValueError(
+            f"the paper's motion is for {len(PAPER_START)} joints, {config.robot.name!r} has {n}; build a Scenario"
+        )
     healthy = no_fault(n)
     window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
 
@@ -69,7 +71,7 @@ def paper_scenario(
 
 
 def sample_scenarios(key: Array, n: int, preset: str = "paper", *, config: Config) -> Scenario:
-    """n scenarios with a leading axis. Preset ``paper`` deals the four conditions in turn and draws nothing from ``key``.
+    """N scenarios with a leading axis. Preset ``paper`` deals the four conditions in turn and draws nothing from ``key``.
 
     Raises:
         ValueError: an unknown preset, or n below 1.

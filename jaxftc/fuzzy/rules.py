@@ -44,7 +44,9 @@ def _s_only() -> np.ndarray:
 TABLES = {"printed": PRINTED, "symmetric": _symmetric(), "s_only": _s_only()}
 
 
-def infer(table: np.ndarray, q: Array, s: Array, q_sets: tuple[Array, Array], s_sets: tuple[Array, Array], outputs: Array) -> Array:
+def infer(
+    table: np.ndarray, q: Array, s: Array, q_sets: tuple[Array, Array], s_sets: tuple[Array, Array], outputs: Array
+) -> Array:
     """Centre average of the 49 rules, [n, ...], from q [n, ...] rad and s [n, ...] rad/s, Eq. (33).
 
     X in Eq. (33) is read as the centre of the output set (as printed, max of a grade, it is 1 whatever the rule says).

@@ -90,9 +90,7 @@ def adapt(config: Config, gains: Gains, state: State, info: Innovation, residual
     """
     fuzzy = state.adaptive
     if config.observer == "ts":
-        fuzzy = adaptive.step(
-            gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau
-        )
+        fuzzy = adaptive.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
     corrected = info.y_hat + gains.observer.alpha_p * info.e  # Eq. (6)
     x_a = arx.laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)
     return state._replace(adaptive=fuzzy, arx=state.arx._replace(x_a=x_a))
