@@ -92,7 +92,8 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     tau = tau + plant.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
 
     judged = seen.b if config.observer == "ts" else residuals.q  # b is the cleaner one where there is one
-    thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, residuals.tau, judged)  # line 6
+    real = residual.torque(mass, decide.trusted(state.decide, seen.psi))
+    thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, real, judged)  # line 6
     decided, verdict = decide.step(config, gains, state.decide, s_tau, s_q, seen.y, seen.jump.h_s, qd)  # lines 8, 9
 
     output = Output(

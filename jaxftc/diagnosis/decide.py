@@ -5,11 +5,15 @@ ends below 0.7 of it. Slow encoder faults do not jump far enough, so the torque 
 takes them for what they are:
 
 * **kick**: the onset of a drift changes the reading's speed, which looks like a torque until the observer has settled, and
-  then like nothing. A torque that is really there stays. An alarm shorter than ``config.kick_ticks`` was a kick;
+  then like nothing. A torque that is really there stays. A torque statistic that falls to a third of its peak (or below the
+  release level) within ``config.kick_ticks`` of the alarm was a kick;
 * **freeze**: equal readings while the arm was moving by more than a jump's worth since the last change;
-* **noise**: many jumps in a tenth of a second.
+* **noise**: many jumps in a tenth of a second; a fast drift jumps at every tick and is caught here too.
 
-Limits: a torque pulse shorter than ``kick_ticks`` changes the speed just as a drift does and is called one; encoders alone
+A reading found out in this way explains the torque residual of its joint, so the actuator bit of that joint is off; and the
+acceleration it feigned is kept out of the other joints' residuals (``trusted``). Of several kicks at once only the largest
+counts: the inertia matrix spreads it to the neighbours.
+Limits: an actuator fault on the very joint of a slow encoder fault is hidden by it; a torque pulse shorter than ``kick_ticks`` changes the speed just as a drift does and is called one; encoders alone
 cannot tell them apart. Decisions are comparisons: no gradient passes through a verdict (tune on the statistics instead).
 """
 
@@ -25,6 +29,7 @@ from jaxftc.gains import Gains
 from jaxftc.types import Array
 
 RELEASE = 0.7  # share of the threshold below which an alarm ends
+KICK = 0.35  # share of its peak to which a kick has fallen
 FROZEN_READINGS = 5
 NOISY_JUMPS = 8.0
 JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
@@ -38,17 +43,24 @@ class State(NamedTuple):
     q_on: Array  # 1 while the encoder alarm is up
     q_run: Array
     age: Array  # ticks since the torque alarm rose
+    peak: Array  # N m, largest |S| of the torque channel in this alarm
     kicked: Array  # 1 once an alarm was found to be a kick, until the encoder alarm has spoken for itself
     jumps: Array  # leaky count of booked jumps
     y: Array  # rad, last reading
     equal: Array  # readings in a row that did not change
     speed: Array  # rad/s, when the reading last changed
+    suspect: Array  # 1 while the second look holds the reading to be wrong
 
 
 def init(q: Array) -> State:
     """No alarm."""
     zero = jnp.zeros_like(q)
-    return State(zero, zero, zero, zero, zero, zero, zero, q, zero, zero)
+    return State(zero, zero, zero, zero, zero, zero, zero, zero, q, zero, zero, zero)
+
+
+def trusted(state: State, psi: Array) -> Array:
+    """psi [n, ...] rad/s^2 without the joints whose reading is held to be wrong."""
+    return psi * (1 - state.suspect)
 
 
 def step(
@@ -59,20 +71,24 @@ def step(
     level = jax.lax.stop_gradient(gains.diagnosis)
     tau_on, tau_run = _alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
     q_on, q_run = _alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
-    age = jnp.where(tau_on > 0, state.age + 1, 0.0)
-    ended_early = (state.tau_on > 0) & (tau_on == 0) & (state.age < config.kick_ticks)
-    kicked = jnp.where(ended_early, 1.0, jnp.where(q_on > 0, 0.0, state.kicked))
+    alarmed = (state.tau_on > 0) | (tau_on > 0)
+    age = jnp.where(alarmed, state.age + 1, 0.0)
+    peak = jnp.where(alarmed, jnp.maximum(state.peak, jnp.abs(s_tau)), 0.0)
+    fallen = (tau_on == 0) | (jnp.abs(s_tau) < KICK * peak)
+    excess = peak / level.alpha_tau
+    kick = (state.tau_on > 0) & (age < config.kick_ticks) & fallen & (excess >= excess.max(0))
+    kicked = jnp.where(kick, 1.0, jnp.where(q_on > 0, 0.0, state.kicked))
     jumps = JUMP_MEMORY * state.jumps + h_s
     unchanged = y == state.y
     equal = jnp.where(unchanged, state.equal + 1, 0.0)
     speed = jnp.where(unchanged, state.speed, qd_hat)
     moved = equal * config.dt * jnp.abs(speed)
     frozen = (equal >= FROZEN_READINGS) & (moved > jax.lax.stop_gradient(gains.observer.jump))
-    slow = frozen | (jumps >= NOISY_JUMPS) | (kicked > 0)
-    sensor = (q_on > 0) | slow
-    actuator = (tau_on > 0) & ~frozen  # a frozen reading explains the torque residual it causes
+    suspect = frozen | (jumps >= NOISY_JUMPS) | (kicked > 0)
+    sensor = (q_on > 0) | suspect
+    actuator = (tau_on > 0) & ~suspect
     verdict = actuator.astype(jnp.int32) + 2 * sensor.astype(jnp.int32)  # Eq. (18)
-    return State(tau_on, tau_run, q_on, q_run, age, kicked, jumps, y, equal, speed), verdict
+    return State(tau_on, tau_run, q_on, q_run, age, peak, kicked, jumps, y, equal, speed, suspect.astype(y.dtype)), verdict
 
 
 def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, fall: int) -> tuple[Array, Array]:

@@ -82,9 +82,9 @@ def lyapunov_rate_eq12(e: float, psi: float, alpha_sm: float) -> float:
 
 def condition_matrix_eq12(alpha_sm: float, delta_psi: float) -> Array:
     """Matrix [2, 2] below Eq. (12) whose positive definiteness is the paper's condition for convergence."""
-    return (
-        alpha_sm / 2 * np.array([[alpha_sm**2 - alpha_sm * delta_psi, -alpha_sm], [-(alpha_sm + 2 * delta_psi), 1.0]])
-    )
+    upper = [alpha_sm**2 - alpha_sm * delta_psi, -alpha_sm]
+    lower = [-(alpha_sm + 2 * delta_psi), 1.0]
+    return alpha_sm / 2 * np.array([upper, lower])
 
 
 def residuals_eq13(y: Array, y_hat: Array) -> tuple[Array, Array]:
