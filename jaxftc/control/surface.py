@@ -21,9 +21,14 @@ class Surface(NamedTuple):
 
 
 def speed(gains: ControlGains, qd: Array, acceleration: Array, q_before: Array, q: Array, dt: float) -> Array:
-    """Speed [n, ...] rad/s of this tick from that of the last, its acceleration [n, ...] rad/s^2 and two angles."""
+    """Speed [n, ...] rad/s of this tick from that of the last, its acceleration [n, ...] rad/s^2 and two angles.
+
+    A difference quotient is the speed half a tick ago; the acceleration brings it up to now. Without that, a motion with
+    steady acceleration is tracked with a steady error, 0.05 deg on the paper's fastest joint.
+    """
     predicted = qd + dt * acceleration
-    return predicted + gains.speed_weight * ((q - q_before) / dt - predicted)
+    measured = (q - q_before) / dt + 0.5 * dt * acceleration
+    return predicted + gains.speed_weight * (measured - predicted)
 
 
 def surface(gains: ControlGains, q: Array, qd: Array, reference: Reference) -> Surface:

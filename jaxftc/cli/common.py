@@ -1,0 +1,105 @@
+"""What the commands share: options, the run folder, robot and gains by name, JAX settings, atomic files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+if TYPE_CHECKING:
+    from jaxftc.arm.robot import Robot
+    from jaxftc.config import Config
+    from jaxftc.gains import Gains
+
+
+@dataclasses.dataclass
+class Options:
+    """Options of every command that simulates and writes."""
+
+    engine: Literal["mjx", "chain"] = "mjx"
+    """Plant dynamics: MuJoCo MJX, or the unrolled chain (several times faster, same motion)."""
+    robot: str = "puma560"
+    """Built-in arm, or an MJCF or URDF file of a serial arm of hinges."""
+    coulomb: bool = False
+    """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
+    gains: Path | None = None
+    """Gains file (TOML); the default gains if not given."""
+    seed: int = 0
+    """Seed of the encoder noise."""
+    out: Path | None = None
+    """Folder for the results; runs/<command>-<n> if not given."""
+    json: bool = False
+    """Print one JSON object on stdout and nothing else there."""
+    cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
+    """Keep compiled programs between runs, in the user's cache folder."""
+
+
+def say(options: Options, text: str = "") -> None:
+    """Text for people: stdout, unless that is JSON's."""
+    print(text, file=sys.stderr if options.json else sys.stdout)
+
+
+def prepare(options: Options) -> None:
+    """Settings of JAX that a command may make: the persistent compilation cache."""
+    import jax
+
+    if options.cache:
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        jax.config.update("jax_compilation_cache_dir", str(home / "jaxftc" / "xla"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def load_arm(options: Options) -> Robot:
+    """The robot that ``--robot`` names."""
+    from jaxftc import load_robot, puma560
+
+    return puma560(coulomb=options.coulomb) if options.robot == "puma560" else load_robot(options.robot)
+
+
+def load_or_default(options: Options, config: Config) -> Gains:
+    """The gains that ``--gains`` names."""
+    from jaxftc import default_gains, load_gains
+
+    return default_gains(config) if options.gains is None else load_gains(options.gains, config)
+
+
+def make_folder(options: Options, command: str) -> Path:
+    """The folder for results, made; the first free number if none was named.
+
+    Raises:
+        ValueError: the folder cannot be made or written.
+    """
+    try:
+        if options.out is not None:
+            options.out.mkdir(parents=True, exist_ok=True)
+            return options.out
+        runs = Path("runs")
+        runs.mkdir(exist_ok=True)
+        number = 1
+        while True:
+            try:
+                (runs / f"{command}-{number}").mkdir()
+                return runs / f"{command}-{number}"
+            except FileExistsError:
+                number += 1
+    except OSError as error:
+        raise ValueError(f"cannot write results: {error}; give another folder with --out") from error
+
+
+def write_aside(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    aside = path.with_name(path.name + ".tmp")
+    aside.write_text(text, encoding="utf-8")
+    os.replace(aside, path)
+
+
+def write_json(path: Path, value: dict[str, Any]) -> str:
+    """Write a JSON file and return its text."""
+    text = json.dumps(value, indent=2, allow_nan=False)
+    write_aside(path, text + "\n")
+    return text

@@ -1,0 +1,48 @@
+"""``jaxftc``: finds the commands, runs one, and turns a refusal into one line and exit code 2.
+
+A command is a dataclass whose fields are its options and whose ``run`` does the work. Other packages add theirs through the
+entry-point group ``jaxftc.commands``.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import entry_points
+from typing import Annotated, Any, Union
+
+import tyro
+
+from jaxftc.cli.demo import Demo
+from jaxftc.cli.simulate import Simulate
+
+COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate}
+DESCRIPTION = "Design, tune and stress-test fault diagnosis and fault-tolerant control for robot arms."
+
+
+def commands() -> dict[str, Any]:
+    """All commands by name: our own, then those of installed packages."""
+    found = dict(COMMANDS)
+    for entry in entry_points(group="jaxftc.commands"):
+        found.setdefault(entry.name, entry.load())
+    return found
+
+
+def parse(arguments: list[str] | None = None) -> Any:
+    """The command's dataclass, filled in; leaves with exit code 2 on unknown options."""
+    choices = tuple(
+        Annotated[command, tyro.conf.subcommand(name, description=command.__doc__)] for name, command in commands().items()
+    )
+    return tyro.cli(Union[choices], prog="jaxftc", description=DESCRIPTION, args=arguments)  # noqa: UP007
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Entry point of the console script."""
+    command = parse(arguments)
+    try:
+        command.run()
+    except (ValueError, OSError) as error:
+        print(f"jaxftc: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("jaxftc: stopped; the files that are there are complete", file=sys.stderr)
+        sys.exit(130)

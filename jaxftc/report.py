@@ -1,0 +1,159 @@
+"""Pages that people look at: self-contained HTML with plotly's figures, opening offline."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from jaxftc.config import CONTROLS, OBSERVERS, Config
+from jaxftc.faults.scenario import CONDITIONS
+
+if TYPE_CHECKING:
+    from jaxftc.paper import Experiment
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # told apart by colour-blind readers
+_STYLE = """
+body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
+table{border-collapse:collapse;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+td,th{padding:.2rem .7rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}
+td:nth-child(-n+3),th:nth-child(-n+3){text-align:left} .claims td{white-space:normal;text-align:left}
+.no{color:#a33;font-weight:600} .yes{color:#276}
+"""
+
+
+def demo_page(config: Config, experiment: Experiment) -> str:
+    """The paper's experiment: claims, comparison table, residuals by condition, estimates by observer, controllers."""
+    sections = [
+        "<h2>Claims</h2>" + _claims(experiment),
+        "<h2>Comparison</h2>" + _table(experiment),
+        "<h2>Residuals and thresholds (T-S observer, AFESMC)</h2>",
+        *(_figure(residual_figure(config, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][c], condition))
+          for c, condition in enumerate(CONDITIONS)),
+        "<h2>Fault estimates of joint 1, both faults</h2>",
+        _figure(_observers(config, experiment)),
+        "<h2>Tracking error of joint 1, both faults (T-S observer)</h2>",
+        _figure(_controllers(experiment)),
+    ]
+    return _page("jaxftc demo: the paper's experiment", sections)
+
+
+def trace_page(config: Config, trace: dict[str, np.ndarray], title: str) -> str:
+    """One run: motion, torque, residuals with thresholds."""
+    return _page(title, [_figure(motion_figure(config, trace)), _figure(residual_figure(config, trace, title))])
+
+
+def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) -> go.Figure:
+    """Both residual channels of every joint, thresholds dashed, fault windows shaded; one joint shows first."""
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
+    t = trace["t"]
+    for j, joint in enumerate(config.robot.joint_names):
+        look: dict[str, Any] = {"legendgroup": joint, "visible": True if j == 0 else "legendonly", "line_color": COLOURS[j % 7]}
+        figure.add_scatter(x=t, y=trace["residual_tau"][:, j], name=joint, **look, row=1, col=1)
+        figure.add_scatter(x=t, y=np.rad2deg(trace["fault_q_hat"][:, j]), name=joint, showlegend=False, **look, row=2, col=1)
+    for row, (name, degrees) in enumerate((("threshold_tau", False), ("threshold_q", True)), start=1):
+        level = float(np.rad2deg(trace[name][0, 0]) if degrees else trace[name][0, 0])
+        for sign in (1, -1):
+            figure.add_hline(y=sign * level, line={"dash": "dash", "color": "#777"}, row=row, col=1)  # pyright: ignore[reportArgumentType]
+    _shade(figure, trace)
+    figure.update_yaxes(title_text="torque residual, N m", row=1, col=1)
+    figure.update_yaxes(title_text="encoder fault b, deg", row=2, col=1)
+    return _finish(figure, title, "dashed: threshold of joint 1; shaded: fault present; click a joint to show it")
+
+
+def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:
+    """Angles against their reference, and torques."""
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
+    t = trace["t"]
+    for j, joint in enumerate(config.robot.joint_names):
+        look: dict[str, Any] = {"legendgroup": joint, "line_color": COLOURS[j % 7]}
+        figure.add_scatter(x=t, y=np.rad2deg(trace["q"][:, j]), name=joint, **look, row=1, col=1)
+        figure.add_scatter(x=t, y=np.rad2deg(trace["q_ref"][:, j]), showlegend=False, line_dash="dot", **look, row=1, col=1)
+        figure.add_scatter(x=t, y=trace["tau"][:, j], showlegend=False, **look, row=2, col=1)
+    _shade(figure, trace)
+    figure.update_yaxes(title_text="angle (dotted: reference), deg", row=1, col=1)
+    figure.update_yaxes(title_text="torque command, N m", row=2, col=1)
+    return _finish(figure, "Motion and torque", "")
+
+
+def _observers(config: Config, experiment: Experiment) -> go.Figure:
+    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
+    for k, observer in enumerate(OBSERVERS):
+        trace = experiment.traces[observer, CONTROLS[-1]][-1]
+        look: dict[str, Any] = {"legendgroup": observer, "line_color": COLOURS[k]}
+        figure.add_scatter(x=trace["t"], y=trace["fault_tau_hat"][:, 0], name=observer.upper(), **look, row=1, col=1)
+        angle = np.rad2deg(trace["fault_q_hat"][:, 0])
+        figure.add_scatter(x=trace["t"], y=angle, showlegend=False, **look, row=2, col=1)
+    truth = experiment.traces[OBSERVERS[-1], CONTROLS[-1]][-1]
+    black: dict[str, Any] = {"name": "truth", "legendgroup": "truth", "line": {"color": "#000", "dash": "dot"}}
+    figure.add_scatter(x=truth["t"], y=truth["fault_tau"][:, 0], **black, row=1, col=1)
+    figure.add_scatter(x=truth["t"], y=np.rad2deg(truth["fault_q"][:, 0]), showlegend=False, **black, row=2, col=1)
+    figure.update_yaxes(title_text="actuator fault, N m", row=1, col=1)
+    figure.update_yaxes(title_text="encoder fault, deg", row=2, col=1)
+    return _finish(figure, f"{config.robot.joint_names[0]}: estimates against the truth", "")
+
+
+def _controllers(experiment: Experiment) -> go.Figure:
+    figure = make_subplots(1, 1)
+    for k, control in enumerate(CONTROLS):
+        trace = experiment.traces[OBSERVERS[-1], control][-1]
+        error = np.rad2deg(trace["q"][:, 0] - trace["q_ref"][:, 0])
+        figure.add_scatter(x=trace["t"], y=error, name=control.upper(), line_color=COLOURS[k])
+    _shade(figure, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][-1])
+    figure.update_yaxes(title_text="tracking error, deg")
+    return _finish(figure, "Gains as given, not at equal chattering", "")
+
+
+def _shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> None:
+    """Shade from the first to the last tick at which a fault is there."""
+    there = (np.abs(trace["fault_tau"]) > 0).any(1) | (np.abs(trace["fault_q"]) > 0).any(1)
+    if there.any():
+        window = trace["t"][there]
+        figure.add_vrect(x0=float(window[0]), x1=float(window[-1]), fillcolor="#999", opacity=0.15, line_width=0)
+
+
+def _finish(figure: go.Figure, title: str, note: str) -> go.Figure:
+    text = html.escape(title) + (f"<br><sup>{html.escape(note)}</sup>" if note else "")
+    figure.update_layout(title_text=text, template="plotly_white", height=520, margin={"l": 70, "r": 20, "t": 70, "b": 50})
+    last = figure.layout.annotations  # noqa: F841
+    figure.update_xaxes(title_text="time, s", row=len(figure._grid_ref) if figure._grid_ref else 1, col=1)
+    return figure
+
+
+def _claims(experiment: Experiment) -> str:
+    rows = "".join(
+        f"<tr><td class='{'yes' if c.met else 'no'}'>{'met' if c.met else 'not met'}</td><td>{html.escape(c.claim)}</td>"
+        f"<td>{c.value:.4g} {html.escape(c.unit)}</td><td>{html.escape(c.detail)}</td></tr>"
+        for c in experiment.claims
+    )
+    return f"<table class='claims'><tr><th></th><th>claim</th><th>our figure</th><th>detail</th></tr>{rows}</table>"
+
+
+def _table(experiment: Experiment) -> str:
+    head = ("condition", "observer", "controller", "torque estimate rms, N m", "angle estimate rms, deg", "delay, ms",
+            "told apart", "tracking rms, deg", "chattering, 1/s")
+    rows = ""
+    for r in experiment.rows:
+        delay = "-" if r.delay_s is None else f"{r.delay_s * 1e3:.0f}"
+        cells = (r.condition, r.observer, r.controller, f"{r.fault_tau_rms_nm:.3f}", f"{r.fault_q_rms_deg:.4f}", delay,
+                 "yes" if r.isolated else "no", f"{r.tracking_rms_deg:.3f}", f"{r.chattering:.2f}")
+        rows += "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
+    return "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + f"</tr>{rows}</table>"
+
+
+def _figure(figure: go.Figure) -> str:
+    return figure.to_html(full_html=False, include_plotlyjs=False, config={"responsive": True, "displaylogo": False})
+
+
+def _page(title: str, sections: list[str]) -> str:
+    from plotly.offline import get_plotlyjs
+
+    body = "\n".join(sections)
+    return (
+        f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{html.escape(title)}</title>"
+        f"<meta name='viewport' content='width=device-width'><style>{_STYLE}</style><script>{get_plotlyjs()}</script></head>"
+        f"<body><h1>{html.escape(title)}</h1>{body}</body></html>\n"
+    )

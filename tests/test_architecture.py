@@ -1,0 +1,175 @@
+"""The map of the package, read from its imports: arrows go one way, and importing is quick and changes nothing."""
+
+import ast
+import importlib
+import inspect
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxftc
+
+ROOT = Path(jaxftc.__file__).parents[1]
+FLOORS = ("jaxftc", "tuning", "benchmarks", "tests")  # each may import those before it
+TICK = ("controller", "laguerre", "arx", "observer", "diagnosis", "control", "fuzzy", "smooth", "types", "gains")
+PUBLIC = sorted(jaxftc._HOME)
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for floor in FLOORS[:3] for path in sorted((ROOT / floor).rglob("*.py"))}
+OURS = {name: path for name, path in MODULES.items() if name.split(".")[0] == "jaxftc"}
+
+
+def targets(node: ast.Import | ast.ImportFrom) -> set[str]:
+    """Modules that an import names; of `from a import b` both a and, where that is a module, a.b."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names}
+    assert node.level == 0, "relative imports hide the map"
+    return {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+
+
+def imports(name: str, *, at_load: bool = False) -> set[str]:
+    """Everything that a module imports; with at_load what it imports when it is loaded, functions and type checks apart."""
+    nodes, found = [ast.parse(MODULES[name].read_text())], set()
+    while nodes:
+        node = nodes.pop()
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found |= targets(node)
+        elif at_load and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        elif at_load and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            continue
+        nodes += ast.iter_child_nodes(node)
+    return found
+
+
+def neighbours(name: str, *, at_load: bool = False) -> set[str]:
+    return {target for target in imports(name, at_load=at_load) if target in MODULES and target != name}
+
+
+def reachable(name: str) -> set[str]:
+    """Modules that are there once `name` has run, its own parents apart."""
+    seen, new = set(), {name}
+    while new:
+        seen |= new
+        new = set().union(*(neighbours(module) for module in new)) - seen
+    return seen
+
+
+def within(module: str, *rooms: str) -> bool:
+    return any(module == f"jaxftc.{room}" or module.startswith(f"jaxftc.{room}.") for room in rooms)
+
+
+def test_there_is_something_to_read():
+    assert {"jaxftc.controller", "jaxftc.closed_loop", "jaxftc.arm.mjx"} <= MODULES.keys()
+    assert "jaxftc.observer.cascade" in reachable("jaxftc.controller")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_arrows_between_packages_go_one_way(name):
+    allowed = FLOORS[: FLOORS.index(name.split(".")[0]) + 1]
+    wrong = {target for target in imports(name) if target.split(".")[0] in FLOORS and target.split(".")[0] not in allowed}
+    assert not wrong, f"{name} imports {sorted(wrong)}; it may import {allowed}"
+
+
+@pytest.mark.parametrize("name", [name for name in OURS if within(name, *TICK)])
+def test_the_tick_reaches_neither_plant_nor_faults(name):
+    """The wall, by imports: what runs on a robot cannot name a scenario, a fault or the closed loop."""
+    wrong = {module for module in reachable(name) if within(module, "closed_loop", "faults", "metrics", "campaign", "cli")}
+    assert not wrong, f"{name} reaches {sorted(wrong)}"
+
+
+@pytest.mark.parametrize("name", [name for name in OURS if not within(name, "cli")])
+def test_only_commands_import_commands(name):
+    assert not [target for target in imports(name) if within(target, "cli")]
+
+
+@pytest.mark.parametrize("name", ["jaxftc.smooth", "jaxftc.types", "jaxftc.version"])
+def test_leaves_import_no_room(name):
+    assert neighbours(name) <= {"jaxftc", "jaxftc.types"}
+
+
+def test_one_file_imports_mjx():
+    assert [name for name in MODULES if any(target.startswith("mujoco.mjx") for target in imports(name))] == ["jaxftc.arm.mjx"]
+
+
+def test_at_most_one_file_imports_optax():
+    users = [name for name in MODULES if any(target.split(".")[0] == "optax" for target in imports(name))]
+    assert len(users) <= 1, users
+
+
+def test_no_cycle_of_imports():
+    done: set[str] = set()
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " -> ".join((*path[path.index(name) :], name))
+        if name not in done:
+            for neighbour in sorted(neighbours(name, at_load=True)):
+                visit(neighbour, (*path, name))
+            done.add(name)
+
+    for name in MODULES:
+        visit(name, ())
+
+
+def test_type_checkers_and_python_see_the_same_public_names():
+    stub = ast.parse((ROOT / "jaxftc" / "__init__.pyi").read_text())
+    nodes = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    seen = {(alias.asname, node.module) for node in nodes for alias in node.names}
+    assert seen == {(name, f"jaxftc.{room}") for name, room in jaxftc._HOME.items()} | {("__version__", "jaxftc.version")}
+    assert dir(jaxftc) == ["__version__", *PUBLIC]
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_public_names_load_and_explain_themselves(name):
+    value = getattr(jaxftc, name)
+    home = importlib.import_module(f"jaxftc.{jaxftc._HOME[name]}")
+    assert value is getattr(home, name)
+    if callable(value):
+        assert value.__module__ == home.__name__, "the home of a name is where it is written"
+        text = inspect.getdoc(value)
+        assert text and not text.startswith(f"{name}("), "a docstring of its own, not the one that Python makes up"
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'jaxftc' has no attribute 'simulat'"):
+        _ = jaxftc.simulat
+
+
+def python(program: str) -> str:
+    """What a fresh interpreter prints."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, env=environment, cwd=ROOT.anchor)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_importing_the_package_loads_neither_jax_nor_mujoco():
+    loaded = json.loads(python("import json, sys, jaxftc; jaxftc.__version__; print(json.dumps(sorted(sys.modules)))"))
+    assert "jaxftc" in loaded
+    assert not {"jax", "jaxlib", "mujoco", "numpy", "scipy"} & set(loaded)
+
+
+def test_importing_every_module_and_running_both_engines_changes_no_jax_setting_and_prints_nothing():
+    program = """
+import importlib, json, sys, jax
+before = dict(jax.config.values)
+for name in sys.argv[1:] or NAMES: importlib.import_module(name)
+from jax._src import xla_bridge
+started = bool(xla_bridge._backends)
+import jaxftc
+robot = jaxftc.puma560()
+for engine in ("chain", "mjx"): jaxftc.forward_dynamics(robot, [0.0] * 6, [0.0] * 6, [0.0] * 6, engine=engine)
+changed = {k: [str(before.get(k)), str(v)] for k, v in jax.config.values.items() if k in before and before[k] is not v}
+print(json.dumps({"started": started, "changed": changed}))
+"""
+    names = [name for name in OURS if not name.endswith("__main__")]
+    assert json.loads(python(program.replace("NAMES", repr(names)))) == {"started": False, "changed": {}}
