@@ -1,0 +1,263 @@
+"""The arm: published numbers, MuJoCo in C, and the two engines against each other."""
+
+import copy
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import jaxftc
+from jaxftc.arm import chain, plant
+from jaxftc.arm.puma560 import TORQUE_LIMIT
+from jaxftc.arm.robot import PAYLOAD
+from jaxftc.faults.scenario import CONDITIONS
+
+ENGINES = ("mjx", "chain")
+DT = 1e-3  # s
+QN = np.array([0, np.pi / 4, np.pi, 0, np.pi / 4, 0])  # rad, the pose at which the field quotes numbers
+STATES = 1000
+
+advance = jaxftc.jit(plant.advance, static_argnums=(0, 1, 6))
+forward = jaxftc.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
+inverse = jaxftc.jit(jaxftc.inverse_dynamics, static_argnums=0)
+angles = arrays(float, 6, elements=st.floats(-np.pi, np.pi))
+speeds = arrays(float, 6, elements=st.floats(-5, 5))
+
+
+@jaxftc.jit
+def mass_matrix(q):
+    rows = plant.nominal_mass(jaxftc.puma560(), chain.pose(jaxftc.puma560(), q))
+    return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
+
+
+def random_states(count: int = STATES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles, speeds and torques [6, count], to the limits of the arm and a little beyond."""
+    draw = np.random.default_rng(560)
+    limit = 1.2 * np.asarray(TORQUE_LIMIT)[:, None]
+    return tuple(draw.uniform(-size, size, (6, count)) for size in (np.pi, 6.0, limit))
+
+
+def random_plants(count: int = STATES) -> jaxftc.Plant:
+    """A different arm for every state: far more mismatch than any preset has."""
+    draw = np.random.default_rng(561)
+    factor = lambda low, high: jnp.asarray(draw.uniform(low, high, (6, count)))  # noqa: E731
+    return jaxftc.Plant(
+        mass=factor(0.5, 2.0),
+        payload=jnp.asarray(draw.uniform(0, 3, count)),
+        armature=factor(0.5, 2.0),
+        damping=factor(0.0, 3.0),
+        coulomb=factor(0.0, 3.0),
+        torque_constant=factor(1.0, 1.0),
+    )
+
+
+def step_in_c(robot: jaxftc.Robot, plants: jaxftc.Plant, q, qd, tau) -> tuple[np.ndarray, np.ndarray]:
+    """(q, qd) [6, count] after one mj_step; the model is changed by hand, Coulomb friction is an applied torque."""
+    model, data = copy.copy(robot.mj_model), mujoco.MjData(robot.mj_model)
+    model.opt.timestep = DT
+    before = {name: getattr(model, name).copy() for name in ("body_mass", "body_inertia", "dof_armature", "dof_damping")}
+    links = [model.jnt_bodyid[j] for j in range(6)]
+    friction = np.asarray(plant.coulomb(robot, qd))
+    after = np.empty((2, *q.shape))
+    for k in range(q.shape[1]):
+        mass, armature, damping, coulomb = (
+            np.asarray(leaf)[:, k] for leaf in (plants.mass, plants.armature, plants.damping, plants.coulomb)
+        )
+        model.body_mass[links] = mass * before["body_mass"][links]
+        model.body_inertia[links] = mass[:, None] * before["body_inertia"][links]
+        model.body_mass[model.body(PAYLOAD).id] = plants.payload[k]
+        model.dof_armature[:] = armature * before["dof_armature"]
+        model.dof_damping[:] = damping.reshape(6, *[1] * (model.dof_damping.ndim - 1)) * before["dof_damping"]
+        mujoco.mj_setConst(model, data)
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q[:, k], qd[:, k], tau[:, k] - coulomb * friction[:, k]
+        mujoco.mj_step(model, data)
+        after[0, :, k], after[1, :, k] = data.qpos, data.qvel
+    return after[0], after[1]
+
+
+def spread(one: jaxftc.Plant, count: int = STATES) -> jaxftc.Plant:
+    """The same arm for every state."""
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, count)), one)
+
+
+def test_gravity_load_of_the_literature(puma):
+    torque = inverse(puma, QN, np.zeros(6), np.zeros(6))
+    np.testing.assert_allclose(torque, [0, 31.6399, 6.0351, 0, 0.0283, 0], atol=5e-5)
+
+
+def test_inertia_of_the_literature():
+    matrix = np.asarray(mass_matrix(QN))
+    np.testing.assert_allclose(np.diag(matrix), [3.6594, 4.4137, 0.9378, 0.1925, 0.1713, 0.1941], atol=5e-5)
+    np.testing.assert_allclose([matrix[0, 1], matrix[0, 2], matrix[1, 2]], [-0.4044, 0.1006, 0.3509], atol=5e-5)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_acceleration_of_the_literature(puma, engine):
+    """The published number has the printed sgn in its friction: a narrow tanh is the same at these speeds."""
+    hard = dataclasses.replace(puma, coulomb_speed=1e-6, fingerprint="puma560 with a hard sign")
+    qd, tau = np.array([0.1, 0.2, 0.8, 0.2, 0.5, 1]), np.array([1, 3.2, 1.8, 0.1, 0.7, 4.6])
+    qdd = forward(hard, QN, qd, tau, engine=engine)
+    np.testing.assert_allclose(qdd, [-7.4102, -9.8432, -10.9694, -4.4314, -0.9881, 21.0228], atol=5e-5)
+
+
+def test_coulomb_friction_at_speed_is_that_of_the_motors_times_the_gear(puma):
+    for speed, expected in ((1.0, puma.coulomb_positive), (-1.0, -puma.coulomb_negative), (0.0, np.zeros(6))):
+        np.testing.assert_allclose(plant.coulomb(puma, np.full(6, speed)), expected, rtol=1e-12)
+    assert puma.coulomb_positive[0] == pytest.approx(0.395 * 62.6111)
+    assert puma.coulomb_negative[5] == pytest.approx(10.5e-3 * 76.686)
+
+
+def test_torque_limits_of_the_motors(puma):
+    np.testing.assert_array_equal(puma.torque_limit, TORQUE_LIMIT)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("which", ["nominal", "perturbed"])
+def test_one_step_is_that_of_mujoco_in_c(puma, engine, which):
+    q, qd, tau = random_states()
+    plants = random_plants() if which == "perturbed" else spread(jaxftc.nominal_plant(puma))
+    expected = step_in_c(puma, plants, q, qd, tau)
+    for mine, theirs in zip(advance(puma, engine, plants, q, qd, tau, DT), expected, strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("which", ["nominal", "perturbed"])
+def test_one_step_in_single_precision(puma, engine, which):
+    q, qd, tau = random_states()
+    plants = random_plants() if which == "perturbed" else spread(jaxftc.nominal_plant(puma))
+    expected = step_in_c(puma, plants, q, qd, tau)
+    # JAX cannot trace one int64 index array first with and then without 64 bits; an arm of its own keeps the two apart.
+    arm = dataclasses.replace(puma, body_link=puma.body_link.astype(np.int32), fingerprint="puma560 in single precision")
+    with jax.enable_x64(False):
+        singles = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), (plants, q, qd, tau))
+        got = advance(arm, engine, *singles, DT)
+    for mine, theirs in zip(got, expected, strict=True):
+        assert mine.dtype == jnp.float32
+        # Relative to the size of the joint's motion: an angle of nearly 0 has no relative precision of its own.
+        assert (np.abs(mine - theirs) <= 1e-5 * np.maximum(np.abs(theirs), 1.0)).all()
+
+
+@given(angles)
+def test_mass_matrix_is_symmetric_and_positive_definite(q):
+    matrix = np.asarray(mass_matrix(q))
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix).min() > 0.01  # kg m^2, less than the smallest motor's
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_forward_undoes_inverse(puma, engine):
+    q, qd, _ = random_states(200)
+    qdd = np.random.default_rng(0).normal(scale=20, size=q.shape)
+    np.testing.assert_allclose(forward(puma, q, qd, inverse(puma, q, qd, qdd), engine=engine), qdd, rtol=1e-9, atol=1e-9)
+
+
+def test_solve_is_that_of_numpy():
+    draw = np.random.default_rng(1)
+    for n in (1, 2, 6):
+        root = draw.normal(size=(50, n, n))
+        matrix, right = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n), draw.normal(size=(50, n))
+        rows = [[jnp.asarray(matrix[:, i, j]) for j in range(n)] for i in range(n)]
+        got = np.stack(chain.solve(rows, list(jnp.asarray(right.T))), axis=-1)
+        np.testing.assert_allclose(got, np.linalg.solve(matrix, right[..., None])[..., 0], rtol=1e-9, atol=1e-9)
+
+
+@jaxftc.jit
+def powers(q, qd, qdd):
+    """(power into the links, rate of their kinetic energy) W, gravity and friction left out."""
+    robot = jaxftc.puma560()
+    at, links = chain.pose(robot, q), chain.nominal_inertias(robot)
+    torque = jnp.stack(chain.newton_euler(robot, links, at, chain.lanes(qd), chain.lanes(qdd), gravity=False))
+
+    def energy(q, qd):
+        rows = chain.mass_matrix(robot, links, chain.pose(robot, q))
+        return 0.5 * sum(row[j] * qd[i] * qd[j] for i, row in enumerate(rows) for j in range(robot.n))
+
+    return qd @ torque, jax.jvp(energy, (q, qd), (qd, qdd))[1]
+
+
+@given(angles, speeds, speeds)
+def test_power_into_the_links_is_the_rate_of_their_kinetic_energy(q, qd, qdd):
+    """Ties Newton-Euler to the composite inertias: dM/dt - 2C does no work."""
+    power, rate = (float(p) for p in powers(q, qd, qdd))
+    assert power == pytest.approx(rate, rel=1e-9, abs=1e-9)
+
+
+def test_gravity_torque_is_the_slope_of_mujocos_potential_energy(puma):
+    model = copy.copy(puma.mj_model)
+    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    data, step = mujoco.MjData(model), 1e-5
+
+    def potential(q):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_energyPos(model, data)
+        return data.energy[0]
+
+    q = random_states(20)[0]
+    torque = inverse(puma, q, np.zeros_like(q), np.zeros_like(q))
+    for k in range(20):
+        slope = [(potential(q[:, k] + h) - potential(q[:, k] - h)) / (2 * step) for h in step * np.eye(6)]
+        np.testing.assert_allclose(torque[:, k], slope, atol=1e-6)
+
+
+def test_nothing_moves_without_a_torque_where_there_is_no_gravity(puma):
+    """Degenerate case: at rest and weightless, the acceleration is M^-1 tau."""
+    weightless = dataclasses.replace(puma, gravity=np.zeros(3), fingerprint="puma560 in space")
+    assert not np.any(inverse(weightless, QN, np.zeros(6), np.zeros(6)))
+    tau = np.arange(6.0)
+    expected = np.linalg.solve(np.asarray(mass_matrix(QN)), tau)
+    np.testing.assert_allclose(forward(weightless, QN, np.zeros(6), tau, engine="chain"), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_trailing_axes_are_a_loop_over_scenarios(puma, engine):
+    q, qd, tau = (x.reshape(6, 3, 2) for x in random_states(6))
+    plants = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], 3, 2), random_plants(6))
+    together = forward(puma, q, qd, tau, engine=engine, plant=plants)
+    for k in np.ndindex(3, 2):
+        own = jax.tree.map(lambda leaf, k=k: leaf[..., *k], plants)
+        alone = forward(puma, q[:, *k], qd[:, *k], tau[:, *k], engine=engine, plant=own)
+        np.testing.assert_allclose(together[:, *k], alone, rtol=1e-10, atol=1e-10)
+    one_plant = forward(puma, q, qd, tau, engine=engine, plant=jaxftc.nominal_plant(puma))
+    np.testing.assert_allclose(one_plant, forward(puma, q, qd, tau, engine=engine), rtol=1e-10)
+
+
+def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(puma):
+    q, qd, tau = random_states(8)
+    weight = np.random.default_rng(2).normal(size=(2, 6, 8))
+
+    def cost(engine, plants, q, qd, tau):
+        after = plant.advance(puma, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
+        return sum((w * x).sum() for w, x in zip(weight, after, strict=True))
+
+    slopes = jaxftc.jit(jax.grad(cost, argnums=(1, 2, 3, 4)), static_argnums=0)
+    by_chain, by_mjx = (slopes(engine, random_plants(8), q, qd, tau) for engine in ("chain", "mjx"))
+    for name, mine, theirs in zip(
+        (*jaxftc.Plant._fields, "q", "qd", "tau"), jax.tree.leaves(by_chain), jax.tree.leaves(by_mjx), strict=True
+    ):
+        assert np.isfinite(mine).all() and np.all(np.abs(mine).max() > 0), name
+        np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=1e-9, err_msg=name)
+
+
+def test_the_closed_loop_does_not_depend_on_the_engine(paper_arm):
+    """1 s of the paper's four conditions: the same angles to 1e-6 rad, and the same diagnosis."""
+    traces = {}
+    for engine in ENGINES:
+        config = jaxftc.Config(paper_arm, engine=engine)
+        four = jaxftc.trail(jaxftc.sample_scenarios(jax.random.key(0), len(CONDITIONS), config=config))
+        traces[engine] = jaxftc.simulate(config, jaxftc.default_gains(config), four, jax.random.key(1))
+    mjx, own = traces["mjx"], traces["chain"]
+    assert np.isfinite(mjx.q).all() and np.ptp(mjx.q, axis=0).min() > 0.5
+    for name in ("q", "y", "fault_q"):
+        np.testing.assert_allclose(getattr(mjx, name), getattr(own, name), rtol=0, atol=1e-6, err_msg=name)
+    np.testing.assert_allclose(mjx.out.tau, own.out.tau, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(mjx.out.verdict, own.out.verdict)

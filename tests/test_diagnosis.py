@@ -1,0 +1,140 @@
+"""Alarms, verdicts and the second look, on signals made for the purpose and in the closed loop."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxftc
+from jaxftc import metrics
+from jaxftc.diagnosis import decide
+from jaxftc.faults.kinds import Sensor
+from jaxftc.faults.scenario import paper_scenario, trail
+
+
+def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0):
+    """Verdicts [T, n] for statistics [T, n] given as multiples of the threshold."""
+    gains = jaxftc.default_gains(config)
+    ticks, n = len(s_tau), config.n
+    zero = np.zeros((ticks, n))
+    s_q, h_s = zero if s_q is None else s_q, zero if h_s is None else h_s
+    y = np.cumsum(np.full((ticks, n), 1e-3), 0) if y is None else y
+    state, verdicts = decide.init(jnp.asarray(y[0]) - 1e-3), []
+    for k in range(ticks):
+        state, verdict = decide.step(
+            config, gains, state, jnp.asarray(s_tau[k]) * gains.diagnosis.alpha_tau, jnp.asarray(s_q[k]) * gains.diagnosis.alpha_q,
+            jnp.asarray(y[k]), jnp.asarray(h_s[k]), jnp.full(n, float(speed)),
+        )  # fmt: skip
+        verdicts.append(np.asarray(verdict))
+    return np.array(verdicts)
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A two-joint arm is enough for logic."""
+    from jaxftc.arm.robot import compile_robot
+
+    inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
+    return jaxftc.Config(compile_robot("two", (
+        f'<mujoco><worldbody><body><joint axis="0 1 0"/>{inertial}<body pos="0 0 .3"><joint axis="0 1 0"/>{inertial}</body></body>'
+        "</worldbody></mujoco>"
+    )))
+
+
+def pulse(ticks, start, stop, size=1.5, joint=0):
+    s = np.zeros((ticks, 2))
+    s[start:stop, joint] = size
+    return s
+
+
+def test_torque_alarm_needs_persistence_and_keeps_through_a_dip(two):
+    s = pulse(200, 10, 150)
+    s[60:65, 0] = 0.1  # shorter than release_ticks, but later than a kick would be
+    two = dataclasses.replace(two, kick_ticks=0)
+    verdict = judge(two, s)
+    assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.types.ACTUATOR
+    assert (verdict[12:159, 0] == 1).all() and (verdict[160:, 0] == 0).all() and (verdict[:, 1] == 0).all()
+
+
+def test_negative_statistics_alarm_too_and_only_beyond_the_threshold(two):
+    assert (judge(two, -pulse(60, 10, 60))[20:, 0] == 1).all()
+    assert (judge(two, pulse(60, 10, 60, size=0.99)) == 0).all()
+
+
+def test_hysteresis(two):
+    s = pulse(200, 10, 100)
+    s[100:, 0] = 0.8  # below the threshold, above the release level
+    assert (judge(two, s)[12:, 0] == 1).all()
+
+
+def test_encoder_alarm_is_immediate_and_both_bits_make_both(two):
+    verdict = judge(two, pulse(60, 10, 60), s_q=pulse(60, 5, 60))
+    assert verdict[5, 0] == jaxftc.types.SENSOR and (verdict[12:, 0] == jaxftc.types.BOTH).all()
+
+
+def test_a_torque_that_vanishes_at_once_was_a_kick_of_the_encoder(two):
+    verdict = judge(two, pulse(200, 10, 40, size=8.0))
+    assert verdict[20, 0] == 1 and (verdict[45:, 0] == 2).all()
+    longer = judge(two, pulse(200, 10, 100, size=8.0))
+    assert longer[90, 0] == 1 and (longer[115:, 0] == 0).all()
+    off = judge(dataclasses.replace(two, kick_ticks=0), pulse(200, 10, 40, size=8.0))
+    assert (off[60:, 0] == 0).all()
+
+
+def test_of_two_kicks_at_once_only_the_larger_counts(two):
+    verdict = judge(two, pulse(200, 10, 40, size=8.0) + pulse(200, 10, 40, size=2.0, joint=1))
+    assert (verdict[60:, 0] == 2).all() and (verdict[60:, 1] == 0).all()
+
+
+def test_equal_readings_are_a_freeze_only_while_the_arm_moves(two):
+    y = np.cumsum(np.full((60, 2), 1e-3), 0)
+    y[20:] = y[20]
+    moving, resting = (judge(two, pulse(60, 30, 60), y=y, speed=v) for v in (1.0, 0.01))
+    assert (moving[26:] == 2).all()  # sensor, although the torque channel is up: the frozen reading explains it
+    assert (resting[26:30] == 0).all() and (resting[40:, 0] == 1).all()  # an encoder at rest repeats itself
+
+
+def test_many_jumps_are_noise(two):
+    h = np.zeros((60, 2))
+    h[10:40:2, 0] = 1.0
+    verdict = judge(two, np.zeros((60, 2)), h_s=h)
+    assert (verdict[:24, 0] == 0).all() and (verdict[30:50, 0] == 2).all() and (verdict[:, 1] == 0).all()
+
+
+@given(st.lists(st.floats(-3, 3), min_size=30, max_size=60), st.floats(1.0, 3.0))
+def test_a_larger_statistic_never_alarms_later(two, values, factor):
+    s = np.repeat(np.array(values)[:, None], 2, 1)
+    first = [np.flatnonzero(judge(two, f * s).any(1)) for f in (1.0, factor)]
+    if first[0].size:
+        assert first[1].size and first[1][0] <= first[0][0]
+
+
+def encoder_fault(config, kind, magnitude):
+    scenario = paper_scenario("sensor", config)
+    only = jnp.arange(6) == 2
+    law = scenario.fault_q._replace(
+        kind=jnp.where(only, int(kind), 0).astype(jnp.int32), magnitude=jnp.where(only, magnitude, 0.0), clear=jnp.full(6, jnp.inf)
+    )
+    return scenario._replace(fault_q=law)
+
+
+def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
+    """Drift slow and fast, freeze, scale, noise on joint 3: called a sensor fault of joint 3 and of no other."""
+    config = jaxftc.Config(paper_arm, engine="chain", duration=0.3)
+    cases = [(Sensor.DRIFT, 0.15), (Sensor.DRIFT, -0.8), (Sensor.FREEZE, 0.0), (Sensor.SCALE, 0.05), (Sensor.NOISE, 60.0)]
+    from jaxftc.faults.scenario import stack
+
+    batch = trail(stack([encoder_fault(config, kind, size) for kind, size in cases]))
+    gains = jaxftc.default_gains(config)
+    tight = dataclasses.replace(gains.diagnosis, alpha_q=jnp.full(6, np.deg2rad(0.02)))
+    verdict = metrics.columns(
+        jaxftc.simulate(config, dataclasses.replace(gains, diagnosis=tight), batch, jax.random.key(0))
+    )["verdict"]
+    for c, (kind, size) in enumerate(cases):
+        first = np.flatnonzero(verdict[:, :, c].any(1))[0]
+        assert first >= 100, (kind, size)
+        np.testing.assert_array_equal(verdict[first + 60, :, c], [0, 0, 2, 0, 0, 0], err_msg=f"{kind!r} {size}")

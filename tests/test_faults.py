@@ -1,0 +1,146 @@
+"""Faults as data: every kind does what its comment says, laws in time, and batches that depend on ids alone."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxftc
+from jaxftc.closed_loop import encoder_noise
+from jaxftc.faults import inject, profiles
+from jaxftc.faults.kinds import Actuator, Fault, Sensor, no_fault
+from jaxftc.faults.scenario import CONDITIONS, paper_scenario, stack, trail
+
+LIMIT = jnp.array([10.0, jnp.inf])
+
+
+def fault(kind, magnitude, onset=0.1, clear=0.3, rise=0.0, period=jnp.inf, duty=1.0) -> Fault:
+    return Fault(jnp.full(2, int(kind), jnp.int32), *(jnp.full(2, float(v)) for v in (magnitude, onset, clear, rise, period, duty)))
+
+
+def deliver(law, tau, t, last=3.0):
+    state = inject.State(jnp.full(2, last), jnp.zeros(2))
+    return np.asarray(inject.deliver(law, state, jnp.asarray(t), jnp.full(2, float(tau)), LIMIT)[1])
+
+
+def read(law, q, t, noise=0.0, last=0.7):
+    state = inject.State(jnp.zeros(2), jnp.full(2, last))
+    _, y, truth = inject.read(law, state, jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
+    return np.asarray(y), np.asarray(truth)
+
+
+@pytest.mark.parametrize(
+    ("kind", "magnitude", "tau", "want"),
+    [
+        (Actuator.NONE, 9.0, 8.0, [8.0, 8.0]),
+        (Actuator.BIAS, 2.0, 8.0, [10.0, 10.0]),
+        (Actuator.LOSS, 0.25, 8.0, [6.0, 6.0]),
+        (Actuator.STUCK, 0.0, 8.0, [3.0, 3.0]),
+        (Actuator.SATURATION, 0.5, 8.0, [5.0, 8.0]),  # a joint without a limit has none to lose
+    ],
+)
+def test_actuator_kinds(kind, magnitude, tau, want):
+    law = fault(kind, magnitude)
+    np.testing.assert_allclose(deliver(law, tau, 0.2), want)
+    np.testing.assert_allclose(deliver(law, tau, 0.05), tau)
+    np.testing.assert_allclose(deliver(law, tau, 0.35), tau)
+
+
+@pytest.mark.parametrize(
+    ("kind", "magnitude", "want"),
+    [
+        (Sensor.NONE, 9.0, 0.51),
+        (Sensor.BIAS, 0.2, 0.71),
+        (Sensor.DRIFT, 2.0, 0.51 + 2.0 * 0.1),
+        (Sensor.SCALE, 0.1, 0.51 + 0.05),
+        (Sensor.FREEZE, 0.0, 0.7),
+        (Sensor.NOISE, 30.0, 0.5 + 0.3),
+    ],
+)
+def test_sensor_kinds(kind, magnitude, want):
+    law = fault(kind, magnitude)
+    y, truth = read(law, 0.5, 0.2, noise=0.01)
+    np.testing.assert_allclose(y, want)
+    np.testing.assert_allclose(truth, want - 0.51, atol=1e-12)
+    np.testing.assert_allclose(read(law, 0.5, 0.05, noise=0.01)[0], 0.51)
+
+
+def test_dropout_is_no_reading_and_no_false_truth():
+    y, truth = read(fault(Sensor.DROPOUT, 0.0), 0.5, 0.2)
+    assert np.isnan(y).all()
+    np.testing.assert_array_equal(truth, 0.0)
+
+
+def test_stuck_and_frozen_keep_what_was_there_at_onset():
+    law, state = fault(Actuator.STUCK, 0.0), inject.State(jnp.zeros(2), jnp.zeros(2))
+    for k in range(30):
+        state, tau = inject.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT)
+    np.testing.assert_array_equal(tau, 9.0)  # onset at 0.1 s: the tick before carried 9
+
+
+@given(st.floats(0, 1), st.floats(0, 0.5), st.floats(0.01, 0.3), st.floats(0.02, 0.3), st.floats(0.1, 1))
+def test_size_is_a_share_and_zero_outside_its_window(t, onset, rise, period, duty):
+    law = fault(Actuator.BIAS, 1.0, onset=onset, clear=onset + 0.4, rise=rise, period=period, duty=duty)
+    size = np.asarray(profiles.size(law, jnp.asarray(t)))
+    assert ((size >= 0) & (size <= 1)).all()
+    if not onset <= t <= onset + 0.4:
+        assert (size == 0).all()
+    abrupt = np.asarray(profiles.size(law._replace(rise=jnp.zeros(2)), jnp.asarray(t)))
+    assert (abrupt >= size).all()
+
+
+def test_intermittent_fault_comes_and_goes():
+    law = fault(Actuator.BIAS, 1.0, onset=0.1, clear=jnp.inf, period=0.1, duty=0.4)
+    there = [bool(profiles.present(law, jnp.asarray(t))[0]) for t in (0.05, 0.11, 0.139, 0.15, 0.19, 0.21, 0.25)]
+    assert there == [False, True, True, False, False, True, False]
+
+
+def test_magnitudes_have_gradients():
+    for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION):
+        gradient = jax.grad(lambda m, k=kind: inject.deliver(
+            fault(k, 0.5)._replace(magnitude=m), inject.State(jnp.ones(2), jnp.ones(2)), jnp.asarray(0.2), jnp.full(2, 8.0), LIMIT
+        )[1].sum())(jnp.full(2, 0.5))
+        assert np.isfinite(gradient).all() and gradient[0] != 0
+
+
+def test_paper_conditions(config):
+    scenario = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
+    assert np.asarray(scenario.fault_tau.kind)[0].tolist() == [0, 1, 0, 1]
+    assert np.asarray(scenario.fault_q.kind)[0].tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(scenario.fault_tau.magnitude[:, 1], 5.0)
+    np.testing.assert_allclose(np.rad2deg(scenario.fault_q.magnitude[:, 2]), 1.5)
+
+
+def test_sampled_scenarios_have_a_leading_axis_and_their_ids(config):
+    scenarios = jaxftc.sample_scenarios(jax.random.key(0), 10, preset="paper", config=config)
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(scenarios)} == {10}
+    np.testing.assert_array_equal(scenarios.id, np.arange(10))
+
+
+def test_noise_depends_on_the_id_not_on_the_place(config):
+    scenarios = jaxftc.sample_scenarios(jax.random.key(0), 8, config=config)
+    key = jax.random.key(5)
+    whole = encoder_noise(config, trail(scenarios), key, jnp.float64)
+    part = encoder_noise(config, trail(jax.tree.map(lambda leaf: leaf[jnp.array([6, 2])], scenarios)), key, jnp.float64)
+    np.testing.assert_array_equal(part, whole[..., jnp.array([6, 2])])
+    one = encoder_noise(config, jax.tree.map(lambda leaf: leaf[6], scenarios), key, jnp.float64)
+    np.testing.assert_array_equal(one, whole[..., 6])
+    np.testing.assert_allclose(np.std(whole), 3e-5, rtol=0.1)
+
+
+def test_refusals(config):
+    with pytest.raises(ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"):
+        paper_scenario("actuators", config)
+    with pytest.raises(ValueError, match=r"preset must be one of 'paper', got 'papers'; did you mean 'paper'\?"):
+        jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
+    with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
+        jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)
+
+
+def test_no_fault_is_healthy():
+    healthy = no_fault(2)
+    for t in (0.0, 0.5, 100.0):
+        np.testing.assert_array_equal(deliver(healthy, 4.0, t), 4.0)
+        np.testing.assert_array_equal(read(healthy, 0.5, t)[0], 0.5)
