@@ -35,7 +35,9 @@ def multiple(name: str, value: float, dt: float) -> int:
     """Return value / dt as an integer, or refuse: times are never rounded silently."""
     ticks = round(value / dt)
     if abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
-        raise ValueError(f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {ticks * dt:g} s")
+        raise ValueError(
+            f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {max(ticks, 1) * dt:g} s"
+        )
     return ticks
 
 

@@ -37,7 +37,9 @@ def true_verdict(fault_tau_kind: np.ndarray, fault_q_kind: np.ndarray) -> np.nda
     return np.select([actuator & sensor, actuator, sensor], [BOTH, ACTUATOR, SENSOR], NORMAL)
 
 
-def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, onset: float) -> tuple[float | None, bool, np.ndarray]:
+def detection(
+    config: Config, verdict: np.ndarray, wanted: np.ndarray, onset: float
+) -> tuple[float | None, bool, np.ndarray]:
     """(delay s, isolated, scored verdict [n]) of a run's verdicts [T, n] against the wanted one [n]."""
     if not (wanted != NORMAL).any():
         return None, not (verdict != NORMAL).any(), verdict.max(0)
@@ -50,7 +52,7 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, onset: fl
 
 
 def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:
-    """Total variation per second of torque [T, n] over its limit [n], mean over joints; joints without a limit count in N m."""
+    """Total variation per second of torque [T, n] over its limit [n], mean over joints; without a limit, of the torque."""
     scale = np.where(np.isfinite(limit), limit, 1.0)
     return float(np.abs(np.diff(tau / scale, axis=0)).sum(0).mean() / (len(tau) * dt))
 

@@ -31,8 +31,10 @@ def demo_page(config: Config, experiment: Experiment) -> str:
         "<h2>Claims</h2>" + _claims(experiment),
         "<h2>Comparison</h2>" + _table(experiment),
         "<h2>Residuals and thresholds (T-S observer, AFESMC)</h2>",
-        *(_figure(residual_figure(config, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][c], condition))
-          for c, condition in enumerate(CONDITIONS)),
+        *(
+            _figure(residual_figure(config, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][c], condition))
+            for c, condition in enumerate(CONDITIONS)
+        ),
         "<h2>Fault estimates of joint 1, both faults</h2>",
         _figure(_observers(config, experiment)),
         "<h2>Tracking error of joint 1, both faults (T-S observer)</h2>",
@@ -51,7 +53,11 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) ->
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
     t = trace["t"]
     for j, joint in enumerate(config.robot.joint_names):
-        look: dict[str, Any] = {"legendgroup": joint, "visible": True if j == 0 else "legendonly", "line_color": COLOURS[j % 7]}
+        look: dict[str, Any] = {
+            "legendgroup": joint,
+            "visible": True if j == 0 else "legendonly",
+            "line_color": COLOURS[j % 7],
+        }
         figure.add_scatter(x=t, y=trace["residual_tau"][:, j], name=joint, **look, row=1, col=1)
         figure.add_scatter(x=t, y=np.rad2deg(trace["fault_q_hat"][:, j]), name=joint, showlegend=False, **look, row=2, col=1)
     for row, (name, degrees) in enumerate((("threshold_tau", False), ("threshold_q", True)), start=1):
@@ -118,8 +124,7 @@ def _shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> None:
 def _finish(figure: go.Figure, title: str, note: str) -> go.Figure:
     text = html.escape(title) + (f"<br><sup>{html.escape(note)}</sup>" if note else "")
     figure.update_layout(title_text=text, template="plotly_white", height=520, margin={"l": 70, "r": 20, "t": 70, "b": 50})
-    last = figure.layout.annotations  # noqa: F841
-    figure.update_xaxes(title_text="time, s", row=len(figure._grid_ref) if figure._grid_ref else 1, col=1)
+    figure.layout[list(figure.select_xaxes())[-1].plotly_name].title = "time, s"
     return figure
 
 
@@ -133,13 +138,31 @@ def _claims(experiment: Experiment) -> str:
 
 
 def _table(experiment: Experiment) -> str:
-    head = ("condition", "observer", "controller", "torque estimate rms, N m", "angle estimate rms, deg", "delay, ms",
-            "told apart", "tracking rms, deg", "chattering, 1/s")
+    head = (
+        "condition",
+        "observer",
+        "controller",
+        "torque estimate rms, N m",
+        "angle estimate rms, deg",
+        "delay, ms",
+        "told apart",
+        "tracking rms, deg",
+        "chattering, 1/s",
+    )
     rows = ""
     for r in experiment.rows:
         delay = "-" if r.delay_s is None else f"{r.delay_s * 1e3:.0f}"
-        cells = (r.condition, r.observer, r.controller, f"{r.fault_tau_rms_nm:.3f}", f"{r.fault_q_rms_deg:.4f}", delay,
-                 "yes" if r.isolated else "no", f"{r.tracking_rms_deg:.3f}", f"{r.chattering:.2f}")
+        cells = (
+            r.condition,
+            r.observer,
+            r.controller,
+            f"{r.fault_tau_rms_nm:.3f}",
+            f"{r.fault_q_rms_deg:.4f}",
+            delay,
+            "yes" if r.isolated else "no",
+            f"{r.tracking_rms_deg:.3f}",
+            f"{r.chattering:.2f}",
+        )
         rows += "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
     return "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + f"</tr>{rows}</table>"
 

@@ -39,10 +39,15 @@ def two():
     from jaxftc.arm.robot import compile_robot
 
     inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
-    return jaxftc.Config(compile_robot("two", (
-        f'<mujoco><worldbody><body><joint axis="0 1 0"/>{inertial}<body pos="0 0 .3"><joint axis="0 1 0"/>{inertial}</body></body>'
-        "</worldbody></mujoco>"
-    )))
+    return jaxftc.Config(
+        compile_robot(
+            "two",
+            (
+                f'<mujoco><worldbody><body><joint axis="0 1 0"/>{inertial}<body pos="0 0 .3"><joint axis="0 1 0"/>{inertial}</body></body>'
+                "</worldbody></mujoco>"
+            ),
+        )
+    )
 
 
 def pulse(ticks, start, stop, size=1.5, joint=0):
@@ -117,7 +122,9 @@ def encoder_fault(config, kind, magnitude):
     scenario = paper_scenario("sensor", config)
     only = jnp.arange(6) == 2
     law = scenario.fault_q._replace(
-        kind=jnp.where(only, int(kind), 0).astype(jnp.int32), magnitude=jnp.where(only, magnitude, 0.0), clear=jnp.full(6, jnp.inf)
+        kind=jnp.where(only, int(kind), 0).astype(jnp.int32),
+        magnitude=jnp.where(only, magnitude, 0.0),
+        clear=jnp.full(6, jnp.inf),
     )
     return scenario._replace(fault_q=law)
 

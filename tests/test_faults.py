@@ -17,7 +17,9 @@ LIMIT = jnp.array([10.0, jnp.inf])
 
 
 def fault(kind, magnitude, onset=0.1, clear=0.3, rise=0.0, period=jnp.inf, duty=1.0) -> Fault:
-    return Fault(jnp.full(2, int(kind), jnp.int32), *(jnp.full(2, float(v)) for v in (magnitude, onset, clear, rise, period, duty)))
+    return Fault(
+        jnp.full(2, int(kind), jnp.int32), *(jnp.full(2, float(v)) for v in (magnitude, onset, clear, rise, period, duty))
+    )
 
 
 def deliver(law, tau, t, last=3.0):
@@ -99,9 +101,15 @@ def test_intermittent_fault_comes_and_goes():
 
 def test_magnitudes_have_gradients():
     for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION):
-        gradient = jax.grad(lambda m, k=kind: inject.deliver(
-            fault(k, 0.5)._replace(magnitude=m), inject.State(jnp.ones(2), jnp.ones(2)), jnp.asarray(0.2), jnp.full(2, 8.0), LIMIT
-        )[1].sum())(jnp.full(2, 0.5))
+        gradient = jax.grad(
+            lambda m, k=kind: inject.deliver(
+                fault(k, 0.5)._replace(magnitude=m),
+                inject.State(jnp.ones(2), jnp.ones(2)),
+                jnp.asarray(0.2),
+                jnp.full(2, 8.0),
+                LIMIT,
+            )[1].sum()
+        )(jnp.full(2, 0.5))
         assert np.isfinite(gradient).all() and gradient[0] != 0
 
 
@@ -131,7 +139,9 @@ def test_noise_depends_on_the_id_not_on_the_place(config):
 
 
 def test_refusals(config):
-    with pytest.raises(ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"):
+    with pytest.raises(
+        ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"
+    ):
         paper_scenario("actuators", config)
     with pytest.raises(ValueError, match=r"preset must be one of 'paper', got 'papers'; did you mean 'paper'\?"):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)

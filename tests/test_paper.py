@@ -51,9 +51,14 @@ def test_default_gains_meet_the_sketch(observer, paper_arm):
 def detect(config, condition, seeds):
     gains = jaxftc.default_gains(config)
     one = paper_scenario(condition, config)
-    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf[..., None], seeds, -1), one)._replace(id=jnp.arange(seeds, dtype=jnp.int32))
+    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf[..., None], seeds, -1), one)._replace(
+        id=jnp.arange(seeds, dtype=jnp.int32)
+    )
     trace = metrics.columns(jaxftc.simulate(config, gains, batch, jax.random.key(11)))
-    return [metrics.detection(config, trace["verdict"][..., s], np.full(6, WANTED[condition]), PAPER_WINDOW[0]) for s in range(seeds)]
+    return [
+        metrics.detection(config, trace["verdict"][..., s], np.full(6, WANTED[condition]), PAPER_WINDOW[0])
+        for s in range(seeds)
+    ]
 
 
 @pytest.mark.parametrize("coulomb", [False, True])
@@ -75,7 +80,9 @@ def test_fault_is_decided_on_every_joint_in_50_seeds(condition, paper_arm):
 def test_verdicts_return_to_normal_after_the_fault(condition, paper_arm):
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain")
-        trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), paper_scenario(condition, config), jax.random.key(2)))
+        trace = metrics.columns(
+            jaxftc.simulate(config, jaxftc.default_gains(config), paper_scenario(condition, config), jax.random.key(2))
+        )
     assert (trace["verdict"][350:] == 0).all()
     assert (trace["verdict"][:100] == 0).all()
 
@@ -94,7 +101,9 @@ def test_hard_sign_still_decides(paper_arm):
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain", sign="hard")
         batch = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
-        smooth, hard = (merits(dataclasses.replace(config, sign=s), jaxftc.default_gains(config), batch) for s in ("smooth", "hard"))
+        smooth, hard = (
+            merits(dataclasses.replace(config, sign=s), jaxftc.default_gains(config), batch) for s in ("smooth", "hard")
+        )
     assert hard[0].fault_tau_rms_nm > smooth[0].fault_tau_rms_nm
     assert [m.isolated for m in smooth] == [True] * 4
     assert sum(m.isolated for m in hard) >= 3

@@ -51,7 +51,9 @@ def test_bank_recursion_is_the_matrix_form(xi, order, seed):
 @given(POLES)
 def test_steady_gain_is_the_banks_rest_state(xi):
     a, b = twin_laguerre.bank_matrices(xi, 4)
-    np.testing.assert_allclose(np.full(4, laguerre.steady_gain(jnp.asarray(xi))), np.linalg.solve(np.eye(4) - a, b), rtol=1e-8)
+    np.testing.assert_allclose(
+        np.full(4, laguerre.steady_gain(jnp.asarray(xi))), np.linalg.solve(np.eye(4) - a, b), rtol=1e-8
+    )
 
 
 @given(st.floats(-0.5, 0.95))
@@ -93,7 +95,12 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     zero = np.zeros(6)
     mine = {"b": zero, "e_prev": zero, "psi_pi": zero, "g": zero, "psi_f": zero}
     for k in range(60):
-        y = q0 + 3e-5 * rng.normal(size=6) + 0.02 * (15 <= k < 35) * np.array([1, 0, -1, 0, 0, 0.3]) + 1e-5 * k**2 * np.eye(6)[1]
+        y = (
+            q0
+            + 3e-5 * rng.normal(size=6)
+            + 0.02 * (15 <= k < 35) * np.array([1, 0, -1, 0, 0, 0.3])
+            + 1e-5 * k**2 * np.eye(6)[1]
+        )
         v = rng.normal(size=6)
         want = twin_cascade.tick(
             y, x, mine["b"], mine["e_prev"], mine["psi_pi"], mine["g"], mine["psi_f"], v,
@@ -114,16 +121,33 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
         }  # fmt: skip
         for name, value in close.items():
             np.testing.assert_allclose(value, want[name], rtol=1e-7, atol=1e-9, err_msg=f"{name} at tick {k}")
-        x, mine = want["x_next"], {n: want[m] for n, m in (("b", "b_next"), ("e_prev", "e"), ("psi_pi", "psi_pi_next"),
-                                                           ("g", "g_next"), ("psi_f", "psi_f_next"))}
+        x, mine = (
+            want["x_next"],
+            {
+                n: want[m]
+                for n, m in (
+                    ("b", "b_next"),
+                    ("e_prev", "e"),
+                    ("psi_pi", "psi_pi_next"),
+                    ("g", "g_next"),
+                    ("psi_f", "psi_f_next"),
+                )
+            },
+        )
     assert (np.abs(want["b_next"]) > 0).any() == (observer == "ts")
 
 
-@given(arrays(float, 3, elements=st.floats(-50, 50)), arrays(float, 3, elements=st.floats(-50, 50)),
-       st.floats(0, 1), st.floats(0.01, 1))
+@given(
+    arrays(float, 3, elements=st.floats(-50, 50)),
+    arrays(float, 3, elements=st.floats(-50, 50)),
+    st.floats(0, 1),
+    st.floats(0.01, 1),
+)
 def test_statistic_is_the_twin(r, z, w, leak):
     gains = jaxftc.gains.DiagnosisGains(*(jnp.full(3, v) for v in (2.0, 0.1, w, 1.0, leak, 0.5)))
-    state, (s_tau, s_q) = threshold.step(gains, threshold.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r))
+    state, (s_tau, s_q) = threshold.step(
+        gains, threshold.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r)
+    )
     s, z_next = twin_threshold.statistic(r, z, w, leak)
     np.testing.assert_allclose(s_tau, s, atol=1e-12)
     np.testing.assert_allclose(state.z_tau, z_next, atol=1e-12)
@@ -137,12 +161,24 @@ def test_table_1_is_the_papers():
 @pytest.mark.parametrize("name", list(rules.TABLES))
 def test_table_1_inference_is_the_double_sum(name, config, rng):
     gains = jaxftc.default_gains(config).control
-    gains = dataclasses.replace(gains, q_widths=gains.q_widths * jnp.linspace(0.7, 1.5, 7), outputs=jnp.array([0.3, 1.4, 2.9]))
+    gains = dataclasses.replace(
+        gains, q_widths=gains.q_widths * jnp.linspace(0.7, 1.5, 7), outputs=jnp.array([0.3, 1.4, 2.9])
+    )
     q, s = rng.uniform(-7, 7, 40), rng.uniform(-2, 2, 40)
-    ours = rules.infer(rules.TABLES[name], jnp.asarray(q), jnp.asarray(s), (gains.q_centres, gains.q_widths),
-                       (gains.s_centres, gains.s_widths), gains.outputs)
-    want = [twin_fuzzy.alpha_online(a, b, gains.q_centres, gains.q_widths, gains.s_centres, gains.s_widths, gains.outputs,
-                                    rules.TABLES[name]) for a, b in zip(q, s, strict=True)]
+    ours = rules.infer(
+        rules.TABLES[name],
+        jnp.asarray(q),
+        jnp.asarray(s),
+        (gains.q_centres, gains.q_widths),
+        (gains.s_centres, gains.s_widths),
+        gains.outputs,
+    )
+    want = [
+        twin_fuzzy.alpha_online(
+            a, b, gains.q_centres, gains.q_widths, gains.s_centres, gains.s_widths, gains.outputs, rules.TABLES[name]
+        )
+        for a, b in zip(q, s, strict=True)
+    ]
     np.testing.assert_allclose(ours, want, rtol=1e-10)
 
 
@@ -202,8 +238,9 @@ def test_stability_is_that_of_the_twins_error_matrix(paper_arm):
         for alpha_f in (0.0, float(o.alpha_f1[0]))
     ]  # fmt: skip
     ours = stability.spectral_radius(config, gains)
-    np.testing.assert_allclose(ours, max(radii[1], stability.spectral_radius(dataclasses.replace(config, observer="pi"), gains)[0]),
-                               rtol=1e-6)
+    np.testing.assert_allclose(
+        ours, max(radii[1], stability.spectral_radius(dataclasses.replace(config, observer="pi"), gains)[0]), rtol=1e-6
+    )
     assert (ours < 1).all()
 
 
@@ -221,8 +258,11 @@ def test_stability_limit_of_the_integral_gain(alpha_p, paper_arm):
 def test_zero_gains_leave_the_open_model(config):
     """Without correction or integral the model runs on its input alone."""
     gains = jaxftc.default_gains(config)
-    o = dataclasses.replace(gains.observer, **{n: jnp.zeros(6) for n in ("alpha_i", "alpha_sm", "alpha_sm0", "alpha_f1", "alpha_f2",
-                                                                         "alpha_f3")}, alpha_p=jnp.full(6, 1e-300))
+    o = dataclasses.replace(
+        gains.observer,
+        **{n: jnp.zeros(6) for n in ("alpha_i", "alpha_sm", "alpha_sm0", "alpha_f1", "alpha_f2", "alpha_f3")},
+        alpha_p=jnp.full(6, 1e-300),
+    )
     gains = dataclasses.replace(gains, observer=o)
     state = cascade.init(config, gains, jnp.ones(6))
     for _ in range(5):
@@ -236,5 +276,3 @@ def test_zero_gains_leave_the_open_model(config):
 @pytest.fixture
 def rng():
     return np.random.default_rng(7)
-
-

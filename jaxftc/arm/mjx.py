@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import io
+import sys
+import threading
 from typing import Any
 
 import jax
@@ -19,12 +22,19 @@ from jaxftc.arm.robot import PAYLOAD, Robot
 from jaxftc.types import Array
 
 
-@functools.cache
+_IMPORT = threading.Lock()
+
+
 def _mjx() -> Any:
-    """The module; its import prints about optional packages to stdout, where a command's JSON may be."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        from mujoco import mjx
-    return mjx
+    """The module; its import prints about optional packages to stdout, where a command's JSON may be.
+
+    Under a lock: two threads that redirect stdout at once can leave it redirected.
+    """
+    with _IMPORT:
+        if "mujoco.mjx" not in sys.modules:
+            with contextlib.redirect_stdout(io.StringIO()):
+                importlib.import_module("mujoco.mjx")
+    return sys.modules["mujoco.mjx"]
 
 
 @functools.cache

@@ -45,7 +45,11 @@ def say(options: Options, text: str = "") -> None:
 
 
 def prepare(options: Options) -> None:
-    """Settings of JAX that a command may make: the persistent compilation cache."""
+    """Settings of JAX that a command may make: the persistent compilation cache, and XLA's log.
+
+    XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
     if options.cache:

@@ -40,18 +40,39 @@ class Demo(common.Options):
 
 def table(rows: list[Row]) -> str:
     """The comparison table as text."""
-    head = ("condition", "observer", "controller", "torque est.", "angle est.", "delay", "told apart", "tracking", "chattering")
+    head = (
+        "condition",
+        "observer",
+        "controller",
+        "torque est.",
+        "angle est.",
+        "delay",
+        "told apart",
+        "tracking",
+        "chattering",
+    )
     units = ("", "", "", "rms N m", "rms deg", "ms", "", "rms deg", "1/s")
     lines = [head, units]
     for row in rows:
         delay = "-" if row.delay_s is None else f"{row.delay_s * 1e3:.0f}"
         lines.append(
-            (row.condition, row.observer, row.controller, f"{row.fault_tau_rms_nm:.3f}", f"{row.fault_q_rms_deg:.4f}", delay,
-             "yes" if row.isolated else "no", f"{row.tracking_rms_deg:.3f}", f"{row.chattering:.2f}")
+            (
+                row.condition,
+                row.observer,
+                row.controller,
+                f"{row.fault_tau_rms_nm:.3f}",
+                f"{row.fault_q_rms_deg:.4f}",
+                delay,
+                "yes" if row.isolated else "no",
+                f"{row.tracking_rms_deg:.3f}",
+                f"{row.chattering:.2f}",
+            )
         )
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    text = ["  ".join(cell.ljust(w) if k < 3 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
-            for line in lines]
+    text = [
+        "  ".join(cell.ljust(w) if k < 3 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
+        for line in lines
+    ]
     return "\n".join([*text[:2], "-" * len(text[0]), *text[2:]])
 
 
@@ -59,5 +80,7 @@ def claims(experiment: Experiment) -> str:
     """Each claim with its figure."""
     lines = ["", "Claims of the paper, with one set of gains for every row:"]
     for claim in experiment.claims:
-        lines.append(f"  {'met    ' if claim.met else 'NOT MET'}  {claim.claim}: {claim.value:.4g} {claim.unit} ({claim.detail})")
+        lines.append(
+            f"  {'met    ' if claim.met else 'NOT MET'}  {claim.claim}: {claim.value:.4g} {claim.unit} ({claim.detail})"
+        )
     return "\n".join(lines)

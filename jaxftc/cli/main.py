@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from importlib.metadata import entry_points
-from typing import Annotated, Any, Union
+from typing import Any
 
 import tyro
 
@@ -29,10 +29,7 @@ def commands() -> dict[str, Any]:
 
 def parse(arguments: list[str] | None = None) -> Any:
     """The command's dataclass, filled in; leaves with exit code 2 on unknown options."""
-    choices = tuple(
-        Annotated[command, tyro.conf.subcommand(name, description=command.__doc__)] for name, command in commands().items()
-    )
-    return tyro.cli(Union[choices], prog="jaxftc", description=DESCRIPTION, args=arguments)  # noqa: UP007
+    return tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=arguments)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -49,8 +49,13 @@ class Simulate(common.Options):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"--{name} must be a finite number, got {getattr(self, name)}")
         config = Config(
-            common.load_arm(self), engine=self.engine, observer=self.observer, control=self.control, sign=self.sign,
-            t_final=self.t_final, duration=self.duration,
+            common.load_arm(self),
+            engine=self.engine,
+            observer=self.observer,
+            control=self.control,
+            sign=self.sign,
+            t_final=self.t_final,
+            duration=self.duration,
         )
         gains = common.load_or_default(self, config)
         scenario = paper_scenario(self.scenario, config, torque=self.torque, angle=math.radians(self.angle))
@@ -64,7 +69,9 @@ class Simulate(common.Options):
         title = f"{self.scenario}: {self.observer.upper()} observer, {self.control.upper()} control"
         common.write_aside(folder / "figures.html", report.trace_page(config, trace, title))
         common.say(self, table(title, result))
-        common.say(self, f"\nWritten: {', '.join(str(folder / name) for name in ('trace.parquet', 'figures.html', 'result.json'))}")
+        common.say(
+            self, f"\nWritten: {', '.join(str(folder / name) for name in ('trace.parquet', 'figures.html', 'result.json'))}"
+        )
         if self.json:
             print(text)
 

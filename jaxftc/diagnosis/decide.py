@@ -13,8 +13,10 @@ takes them for what they are:
 A reading found out in this way explains the torque residual of its joint, so the actuator bit of that joint is off; and the
 acceleration it feigned is kept out of the other joints' residuals (``trusted``). Of several kicks at once only the largest
 counts: the inertia matrix spreads it to the neighbours.
-Limits: an actuator fault on the very joint of a slow encoder fault is hidden by it; a torque pulse shorter than ``kick_ticks`` changes the speed just as a drift does and is called one; encoders alone
-cannot tell them apart. Decisions are comparisons: no gradient passes through a verdict (tune on the statistics instead).
+
+Limits: an actuator fault on the very joint of a slow encoder fault is hidden by it; a torque pulse shorter than
+``kick_ticks`` changes the speed just as a drift does and is called one; encoders alone cannot tell them apart. Decisions are
+comparisons: no gradient passes through a verdict (tune on the statistics instead).
 """
 
 from __future__ import annotations
@@ -59,7 +61,7 @@ def init(q: Array) -> State:
 
 
 def trusted(state: State, psi: Array) -> Array:
-    """psi [n, ...] rad/s^2 without the joints whose reading is held to be wrong."""
+    """Fault estimate psi [n, ...] rad/s^2 without the joints whose reading is held to be wrong."""
     return psi * (1 - state.suspect)
 
 

@@ -44,15 +44,14 @@ def paper_scenario(
 ) -> Scenario:
     """One of the paper's four conditions; torque N m and angle rad are the sizes of its faults.
 
+    An arm that does not have six joints moves each by one radian from its zero position instead of the paper's motion.
+
     Raises:
-        ValueError: an unknown condition, or a robot without the paper's six joints.
+        ValueError: an unknown condition.
     """
     checks.one_of("condition", condition, CONDITIONS)
     n = config.n
-    if n != len(PAPER_START):
-        raise ValueError(
-            f"the paper's motion is for {len(PAPER_START)} joints, {config.robot.name!r} has {n}; build a Scenario"
-        )
+    start, goal = (PAPER_START, PAPER_GOAL) if n == 6 else (config.robot.q_zero, config.robot.q_zero + 1.0)
     healthy = no_fault(n)
     window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
 
@@ -61,8 +60,8 @@ def paper_scenario(
 
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),
-        q_start=jnp.asarray(PAPER_START, float),
-        q_goal=jnp.asarray(PAPER_GOAL, float),
+        q_start=jnp.asarray(start, float),
+        q_goal=jnp.asarray(goal, float),
         noise=jnp.asarray(ENCODER_NOISE, float),
         fault_tau=bias(Actuator.BIAS, torque) if condition in ("actuator", "both") else healthy,
         fault_q=bias(Sensor.BIAS, angle) if condition in ("sensor", "both") else healthy,

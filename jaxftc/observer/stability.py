@@ -24,12 +24,16 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
     Only for ``input="rigid_body"``, where the joints do not couple; gains without scenario axes.
     """
     if config.input != "rigid_body":
-        raise ValueError('spectral_radius needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop')
+        raise ValueError(
+            'spectral_radius needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop'
+        )
     radii = []
     for j in range(config.n):
         plain = _error_matrix(config, gains, j, fuzzy=False)
         full = _error_matrix(config, gains, j, fuzzy=True)
-        radii.append(max(np.abs(np.linalg.eigvals(m)).max() for m in ((plain, full) if config.observer == "ts" else (plain,))))
+        radii.append(
+            max(np.abs(np.linalg.eigvals(m)).max() for m in ((plain, full) if config.observer == "ts" else (plain,)))
+        )
     return np.array(radii)
 
 
@@ -42,6 +46,7 @@ def bank_matrices(xi: float, order: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _error_matrix(config: Config, gains: Gains, joint: int, *, fuzzy: bool) -> np.ndarray:
     """State matrix of (x, psi_PI, psi_F) for a zero reading: what an error turns into in one tick."""
+
     def value(leaf: object) -> float:
         return float(np.asarray(leaf)[joint])
 

@@ -1,0 +1,368 @@
+"""One contract for every block: same tree in and out, one trace, jit = plain, trailing axes = vmap = loop, all finite."""
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc.control import sliding, surface
+from jaxftc.diagnosis import decide, threshold
+from jaxftc.faults.kinds import Sensor
+from jaxftc.gains import align
+from jaxftc.observer import adaptive, cascade, pi, super_twisting
+
+N = 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Block:
+    """A block behind one signature; signals come in natural sizes, one array [n, ...] each."""
+
+    name: str
+    start: Callable[..., Any]  # (config, gains, q) -> state
+    tick: Callable[..., Any]  # (config, gains, state, *signals) -> (state, info)
+    sizes: tuple[float, ...]  # of the signals, in their units
+    change: tuple[tuple[str, str], ...] = ()  # what differs in the config
+
+    def config(self) -> jaxftc.Config:
+        return jaxftc.Config(jaxftc.puma560(), engine="chain", **dict(self.change))
+
+
+def adapt_fuzzy(config, gains, state, e, jump, residual_tau):
+    del config
+    booked = adaptive.book_jump(gains.observer, jump)
+    return adaptive.step(gains.observer, state, e, booked, residual_tau, gains.diagnosis.alpha_tau), booked
+
+
+def observe(config, gains, state, y, u, residual_tau):
+    state, seen = cascade.explain(config, gains, cascade.drive(gains, state, u), y)
+    return cascade.adapt(config, gains, state, seen, residual_tau), seen
+
+
+def track(config, gains, state, q, *reference):
+    """The surface; its state is the angle and the speed of the tick before."""
+    qd = surface.speed(gains.control, state[1], reference[2], state[0], q, config.dt)
+    return (q, qd), surface.surface(gains.control, q, qd, jaxftc.Reference(*reference))
+
+
+def command(config, gains, state, q, s, errord, psi, qdd_ref):
+    desired = jaxftc.Reference(q, q, qdd_ref)
+    return state, sliding.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired)
+
+
+def control_tick(config, gains, state, *signals):
+    return jaxftc.step(config, gains, state, jaxftc.Reference(*signals[:3]), jaxftc.Measurement(*signals[3:]))
+
+
+def controller_block(observer: str, control: str, **change: str) -> Block:
+    name = "-".join((observer, control, *change.values()))
+    choice = {"observer": observer, "control": control} | change
+    return Block(name, jaxftc.init, control_tick, (1.0, 2.0, 10.0, 1.0, 50.0), tuple(choice.items()))
+
+
+SMALL = [
+    Block(
+        "pi",
+        lambda config, gains, q: pi.State(jnp.zeros_like(q)),
+        lambda config, gains, state, e: pi.step(gains.observer, state, e),
+        (1e-3,),
+    ),
+    *(
+        Block(
+            f"super-twisting-{sign}",
+            lambda config, gains, q: super_twisting.State(jnp.zeros_like(q)),
+            lambda config, gains, state, e, h_s: super_twisting.step(
+                gains.observer, state, e, h_s, config.dt, hard=config.sign == "hard"
+            ),
+            (1e-3, 1.0),
+            (("sign", sign),),
+        )
+        for sign in ("smooth", "hard")
+    ),
+    Block(
+        "adaptive",
+        lambda config, gains, q: adaptive.State(jnp.zeros_like(q), jnp.zeros_like(q)),
+        adapt_fuzzy,
+        (1e-3, 1e-3, 3.0),
+    ),
+    *(Block(f"cascade-{o}", cascade.init, observe, (1.0, 10.0, 3.0), (("observer", o),)) for o in ("pi", "eso", "ts")),
+    Block(
+        "threshold",
+        lambda config, gains, q: threshold.init(q),
+        lambda config, gains, state, *residuals: threshold.step(gains.diagnosis, state, *residuals),
+        (3.0, 0.02),
+    ),
+    Block("decide", lambda config, gains, q: decide.init(q), decide.step, (3.0, 0.02, 1.0, 1.0, 2.0)),
+    Block("surface", lambda config, gains, q: (q, jnp.zeros_like(q)), track, (1.0, 1.0, 2.0, 10.0)),
+    *(
+        Block(f"law-{c}", lambda config, gains, q: (), command, (2.0, 1.0, 1.0, 5.0, 10.0), (("control", c),))
+        for c in ("smc", "esmc", "afesmc")
+    ),
+]
+OBSERVERS, CONTROLS = ("pi", "eso", "ts"), ("smc", "esmc", "afesmc")
+PAIRS = [controller_block(*pair) for pair in itertools.product(OBSERVERS, CONTROLS)]
+VARIANTS = [
+    controller_block(observer, control, sign=sign, input=form)
+    for observer, control, sign, form in itertools.product(OBSERVERS, CONTROLS, ("smooth", "hard"), ("rigid_body", "torque"))
+    if (sign, form) != ("smooth", "rigid_body")
+]
+# Every stage, law, sign and input once; the other combinations are slow tests.
+FEW = [
+    PAIRS[0],
+    PAIRS[4],
+    PAIRS[8],
+    controller_block("ts", "afesmc", sign="hard"),
+    controller_block("ts", "esmc", input="torque"),
+]
+REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for few in FEW}]
+
+
+def each(*blocks: Block, slow: list[Block] = ()):
+    cases = [pytest.param(block, id=block.name) for block in blocks]
+    return pytest.mark.parametrize(
+        "block", cases + [pytest.param(block, id=block.name, marks=pytest.mark.slow) for block in slow]
+    )
+
+
+def draw(block: Block, axes: tuple[int, ...], ticks: int, dtype=float) -> list[tuple[jax.Array, ...]]:
+    """Signals of some ticks, spread over their natural sizes; for one arm or for scenarios on trailing axes."""
+    random = np.random.default_rng(7)
+    shape = (N, *axes)
+    return [tuple(jnp.asarray(random.uniform(-size, size, shape), dtype) for size in block.sizes) for _ in range(ticks)]
+
+
+def tick_of(block: Block) -> tuple[Callable[..., Any], jaxftc.Gains]:
+    """tick(gains, state, *signals) with the gains aligned, and the default gains."""
+    config = block.config()
+
+    def tick(gains, state, *signals):
+        return block.tick(config, align(gains, signals[0].ndim - 1), state, *signals)
+
+    return tick, jaxftc.default_gains(config)
+
+
+def begin(block: Block, gains: jaxftc.Gains, q: jax.Array) -> Any:
+    return block.start(block.config(), align(gains, q.ndim - 1), q)
+
+
+def layout(tree: Any) -> Any:
+    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree)
+
+
+def assert_close(one: Any, other: Any, tolerance: float = 1e-10) -> None:
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    for mine, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        scale = max(1.0, float(np.abs(np.asarray(theirs, float)).max()))
+        np.testing.assert_allclose(np.asarray(mine, float), np.asarray(theirs, float), rtol=0, atol=tolerance * scale)
+
+
+def all_finite(tree: Any) -> bool:
+    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(tree))
+
+
+@each(*SMALL, *PAIRS, *VARIANTS)
+@pytest.mark.parametrize("axes", [(), (3,), (2, 3)], ids=["one", "[n,3]", "[n,2,3]"])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["single", "double"])
+def test_state_comes_out_as_it_went_in(block, axes, dtype):
+    """Same tree, shapes and precision; every number of the info in the same precision too, scenarios on its last axes."""
+    tick, gains = tick_of(block)
+    gains = jax.tree.map(lambda leaf: leaf.astype(dtype), gains)
+    (signals,) = draw(block, axes, 1, dtype)
+    state = begin(block, gains, signals[0])
+    after, info = jax.eval_shape(tick, gains, state, *signals)
+    assert layout(after) == layout(state)
+    for leaf in jax.tree.leaves(info):
+        assert leaf.shape in ((N, *axes), axes)
+        assert leaf.dtype == dtype or not jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+@each(*SMALL, *PAIRS, slow=VARIANTS)
+def test_one_trace_and_the_same_numbers_as_without_jit(aligned_ranks, block):
+    tick, gains = tick_of(block)
+    traces = []
+    compiled = jax.jit(lambda *args: traces.append(1) or tick(*args))
+    signals = draw(block, (), 4)
+    state = plain = begin(block, gains, signals[0][0])
+    for each_tick in signals:
+        state, info = compiled(gains, state, *each_tick)
+        plain, plain_info = tick(gains, plain, *each_tick)
+        assert_close((state, info), (plain, plain_info))
+    assert len(traces) == 1
+    assert all_finite((state, info))
+
+
+@each(*SMALL, *FEW, slow=REST)
+def test_trailing_axes_are_vmap_are_a_loop(block):
+    tick, gains = tick_of(block)
+    tick = jaxftc.jit(tick)
+    mapped = jaxftc.jit(jax.vmap(tick, in_axes=(None, -1, *[-1] * len(block.sizes)), out_axes=-1))
+    signals = draw(block, (3,), 3)
+    start = begin(block, gains, signals[0][0])
+    together, by_map = start, start
+    alone = [jax.tree.map(lambda leaf, k=k: leaf[..., k], start) for k in range(3)]
+    for each_tick in signals:
+        together, info = tick(gains, together, *each_tick)
+        by_map, info_by_map = mapped(gains, by_map, *each_tick)
+        assert_close((by_map, info_by_map), (together, info))
+        for k in range(3):
+            alone[k], own = tick(gains, alone[k], *(signal[..., k] for signal in each_tick))
+            assert_close((alone[k], own), jax.tree.map(lambda leaf, k=k: leaf[..., k], (together, info)))
+
+
+@each(*SMALL, *FEW, slow=REST)
+def test_gradients_are_finite(block):
+    """With respect to gains, state and every signal, after ticks that leave the state where it usually is."""
+    tick, gains = tick_of(block)
+    *before, last = draw(block, (), 3)
+    state = begin(block, gains, before[0][0])
+    for signals in before:
+        state, _ = tick(gains, state, *signals)
+
+    def cost(gains, state, signals):
+        leaves = jax.tree.leaves(tick(gains, state, *signals))
+        return sum((leaf**2).sum() for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))
+
+    slopes = jaxftc.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, last)
+    assert all_finite(slopes)
+    moved = [bool(jnp.any(slope != 0)) for slope in jax.tree.leaves(slopes)]
+    assert any(moved), "a cost that depends on nothing tests nothing"
+
+
+# Missing readings.
+
+GAP = {"one tick": (0.020, 0.020), "ten ticks": (0.020, 0.029), "thirty ticks": (0.020, 0.049)}  # s, both ends included
+
+
+@pytest.fixture(scope="module")
+def dropped(config) -> Callable[..., jaxftc.Trace]:
+    """A run with the readings of some joints missing for a while; bias rad, if any, is on the encoders from tick 10 on."""
+
+    def run(gap: tuple[float, float], joints: tuple[int, ...], bias: float = 0.0) -> jaxftc.Trace:
+        scenario = jaxftc.paper_scenario("healthy", config)
+        hit = jnp.isin(jnp.arange(N), jnp.asarray(joints))
+        fault = scenario.fault_q._replace(
+            kind=jnp.where(hit, Sensor.DROPOUT, Sensor.NONE).astype(jnp.int32),
+            onset=jnp.full(N, gap[0] - 1e-4),
+            clear=jnp.full(N, gap[1] + 1e-4),
+        )
+        return jaxftc.simulate(config, jaxftc.default_gains(config), scenario._replace(fault_q=fault), jax.random.key(3))
+
+    return run
+
+
+@pytest.mark.parametrize("gap", GAP)
+@pytest.mark.parametrize("joints", [(2,), (0, 4), tuple(range(N))], ids=["one", "two", "all"])
+def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
+    trace, whole = dropped(GAP[gap], joints), dropped(GAP[gap], ())
+    missing = ~np.isfinite(np.asarray(trace.y))
+    assert missing.any(0).tolist() == [j in joints for j in range(N)]
+    assert missing.sum() == len(joints) * round((GAP[gap][1] - GAP[gap][0]) / config.dt + 1)
+    for name, leaf in trace.out._asdict().items():
+        assert np.isfinite(leaf).all(), name
+    # The prediction takes the reading's place: what is left of the residual is the fault that was already known, 0.
+    np.testing.assert_allclose(np.asarray(trace.out.residual_q)[missing], 0, atol=1e-12)
+    assert np.abs(trace.out.q_hat - trace.q).max() < 5e-4
+    # No jump is booked when readings come back, and nothing is said that was not said with all readings.
+    assert not np.any(trace.out.fault_q_hat)
+    assert not (np.asarray(trace.out.verdict) & 2).any()
+    assert np.abs(trace.q - whole.q).max() < 5e-4
+
+
+def log_of(config: jaxftc.Config, condition: str) -> tuple[jaxftc.Reference, np.ndarray]:
+    """Reference and readings [T, n] of a run."""
+    trace = jaxftc.simulate(
+        config, jaxftc.default_gains(config), jaxftc.paper_scenario(condition, config), jax.random.key(5)
+    )
+    zero = np.zeros_like(trace.q_ref)
+    return jaxftc.Reference(np.asarray(trace.q_ref), zero, zero), np.array(trace.y)
+
+
+def run_log(config, reference, y, tau=None) -> jaxftc.Output:
+    gains = jaxftc.default_gains(config)
+
+    def body(carry, x):
+        state, last = carry
+        desired, reading, log_tau = x
+        state, out = jaxftc.step(
+            config, gains, state, desired, jaxftc.Measurement(reading, last if tau is None else log_tau)
+        )
+        return (state, out.tau), out
+
+    state = jaxftc.init(config, gains, y[0])
+    logged = np.zeros_like(y) if tau is None else tau
+    return jaxftc.jit(lambda *xs: jax.lax.scan(body, (state, state.pending.tau), xs)[1])(reference, y, logged)
+
+
+def with_gap(y: np.ndarray, ticks: slice, joints: tuple[int, ...], missing: float = np.nan) -> np.ndarray:
+    y = y.copy()
+    y[ticks, list(joints)] = missing
+    return y
+
+
+@pytest.mark.parametrize("missing", [np.nan, np.inf, -np.inf])
+def test_what_is_not_finite_is_missing(config, missing):
+    reference, y = log_of(config, "healthy")
+    expected = run_log(config, reference, with_gap(y, slice(20, 25), (1,)))
+    got = run_log(config, reference, with_gap(y, slice(20, 25), (1,), missing))
+    jax.tree.map(np.testing.assert_array_equal, got, expected)
+
+
+def test_a_known_encoder_fault_outlives_missing_readings(config):
+    """A bias booked before a gap is neither booked again nor lost when readings come back."""
+    reference, y = log_of(config, "healthy")
+    y[10:] += 0.02
+    out = run_log(config, reference, with_gap(y, slice(30, 40), tuple(range(N))))
+    np.testing.assert_allclose(out.fault_q_hat[10:], 0.02, atol=5e-4)
+    np.testing.assert_array_equal(out.fault_q_hat[29:], np.broadcast_to(out.fault_q_hat[29], out.fault_q_hat[29:].shape))
+
+
+def test_readings_that_never_came_leave_everything_finite(config):
+    """Degenerate case: the controller is on its own from the first tick."""
+    reference, y = log_of(config, "healthy")
+    out = run_log(config, reference, np.vstack([y[:1], np.full_like(y[1:], np.nan)]))
+    assert all_finite(out) and not np.any(out.fault_q_hat) and not np.any(out.residual_q)
+
+
+def test_an_unknown_torque_counts_as_the_command(config):
+    reference, y = log_of(config, "actuator")
+    jax.tree.map(
+        lambda got, expected: np.testing.assert_allclose(got, expected, atol=1e-9),
+        run_log(config, reference, y, np.full_like(y, np.nan)),
+        run_log(config, reference, y),
+    )
+
+
+def test_an_unknown_torque_counts_as_the_command_within_the_limits(config):
+    """A reference far away saturates every motor; the observer must not believe in more torque than was commanded."""
+    reference, y = log_of(config, "healthy")
+    far = reference._replace(q=reference.q + 3.0)
+    known, unknown = run_log(config, far, y), run_log(config, far, y, np.full_like(y, np.nan))
+    assert (np.abs(known.tau) == config.robot.torque_limit).all(1).any()
+    np.testing.assert_allclose(unknown.fault_tau_hat, known.fault_tau_hat, atol=1e-6)
+
+
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_gradients_pass_missing_readings(config, observer):
+    config = dataclasses.replace(config, observer=observer)
+    reference, y = log_of(config, "healthy")
+    y = with_gap(y[:15], slice(5, 9), (0, 3))
+    gains = jaxftc.default_gains(config)
+
+    def cost(gains):
+        state = jaxftc.init(config, gains, y[0])
+
+        def body(carry, x):
+            state, last = carry
+            state, out = jaxftc.step(config, gains, state, x[0], jaxftc.Measurement(x[1], last))
+            return (state, out.tau), (out.q_hat - x[0].q, out.fault_tau_hat)
+
+        log = (jax.tree.map(lambda leaf: leaf[:15], reference), y)
+        return sum((x**2).sum() for x in jax.lax.scan(body, (state, state.pending.tau), log)[1])
+
+    assert all_finite(jaxftc.jit(jax.grad(cost))(gains))

@@ -1,0 +1,128 @@
+"""The command line as a user meets it: help is quick, JSON is clean, refusals are one line and exit code 2."""
+
+import json
+import os
+import subprocess
+import sys
+
+import duckdb
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc.cli import common
+from jaxftc.cli.main import main, parse
+
+QUICK = ["--engine", "chain", "--no-compilation-cache", "--duration", "0.3"]
+
+
+def run(arguments, folder, **environment):
+    command = [sys.executable, "-c", "from jaxftc.cli.main import main; main()", *arguments]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, env=os.environ | environment, check=False)
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("simulate")
+    return folder, run(["simulate", "--scenario", "both", "--json", *QUICK], folder)
+
+
+def test_json_is_the_only_thing_on_stdout(simulated):
+    folder, done = simulated
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result == json.loads((folder / "runs" / "simulate-1" / "result.json").read_text())
+    assert len(result["joints"]) == 6 and result["isolated"] is True and result["delay_s"] == 0.0
+
+
+def test_trace_file_holds_every_signal(simulated):
+    folder, _ = simulated
+    rows = duckdb.sql(f"select * from '{folder / 'runs' / 'simulate-1' / 'trace.parquet'}'").fetchnumpy()
+    assert len(rows["t"]) == 300
+    for name in ("q", "qd", "y", "q_ref", "tau_applied", "fault_tau", "fault_q", *jaxftc.Output._fields):
+        assert name in rows or all(f"{name}_joint{j}" in rows for j in range(1, 7)), name
+    fault = rows["fault_tau_joint3"]
+    np.testing.assert_allclose(fault[(rows["t"] > 0.101) & (rows["t"] < 0.249)], 5.0, rtol=1e-4)
+    np.testing.assert_array_equal(fault[rows["t"] < 0.099], 0.0)
+
+
+def test_figures_open_offline(simulated):
+    folder, _ = simulated
+    page = (folder / "runs" / "simulate-1" / "figures.html").read_text()
+    assert "<script src=" not in page and "torque residual, N m" in page
+    assert not list((folder / "runs").rglob("*.tmp"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (
+            ["simulate", "--t-final", "0.0155"],
+            "jaxftc: t_final must be a multiple of dt = 0.001 s, got 0.0155 s; the nearest is 0.016 s",
+        ),
+        (
+            ["simulate", "--robot", "no.xml"],
+            "jaxftc: no robot file at no.xml; give an MJCF or URDF file, or 'puma560' for the",
+        ),
+        (["simulate", "--gains", "no.toml"], "jaxftc: cannot read gains from no.toml: "),
+        (["simulate", "--torque", "nan"], "jaxftc: --torque must be a finite number, got nan"),
+        (["simulate", "--out", "/proc/none"], "jaxftc: cannot write results: "),
+    ],
+)
+def test_refusals_are_one_line(arguments, line, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(common, "prepare", lambda options: None)
+    with pytest.raises(SystemExit) as stop:
+        main(arguments)
+    err = capsys.readouterr().err
+    assert stop.value.code == 2 and err.startswith(line) and err.count("\n") == 1
+    assert not list(tmp_path.rglob("*.parquet"))
+
+
+@pytest.mark.parametrize("arguments", [["simulate", "--engine", "bullet"], ["simulate", "--sped", "1"], ["fly"], []])
+def test_unknown_options_exit_with_2(arguments, capsys):
+    with pytest.raises(SystemExit) as stop:
+        parse(arguments)
+    assert stop.value.code == 2
+    assert capsys.readouterr().err
+
+
+def test_help_needs_no_jax(tmp_path):
+    script = (
+        "import sys\nfrom jaxftc.cli.main import main\n"
+        "for words in (['--help'], ['demo', '--help'], ['simulate', '--help']):\n"
+        "    try: main(words)\n    except SystemExit as stop: assert stop.code == 0\n"
+        "assert not {'jax', 'mujoco', 'numpy'} & set(sys.modules), 'help imported the heavy packages'"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "demo" in done.stdout and "--scenario" in done.stdout
+
+
+def test_run_folders_are_numbered(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = parse(["simulate"])
+    assert [common.make_folder(options, "simulate").name for _ in range(3)] == ["simulate-1", "simulate-2", "simulate-3"]
+
+
+@pytest.mark.slow
+def test_demo_from_end_to_end(tmp_path):
+    """The whole demo: schema of its JSON, one row a combination, a claim for each of the paper's, a report that opens."""
+    done = run(["demo", "--engine", "chain", "--json", "--no-compilation-cache"], tmp_path)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert len(result["rows"]) == 4 * 3 * 3
+    assert {
+        "condition",
+        "observer",
+        "controller",
+        "fault_tau_rms_nm",
+        "fault_q_rms_deg",
+        "delay_s",
+        "isolated",
+        "tracking_rms_deg",
+        "chattering",
+    } == set(result["rows"][0])
+    assert all({"id", "claim", "value", "unit", "met"} <= set(claim) for claim in result["claims"])
+    page = (tmp_path / "runs" / "demo-1" / "report.html").read_text()
+    assert all(claim["id"] and f"{claim['value']:.4g}" in page for claim in result["claims"])

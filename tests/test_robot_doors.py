@@ -1,0 +1,487 @@
+"""Doors: arms read from files, and what a user is told when something is not allowed."""
+
+import copy
+import dataclasses
+import re
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import tomli_w
+
+import jaxftc
+from jaxftc.arm import plant
+from jaxftc.arm.robot import PAYLOAD
+
+# Arbitrary axes, an anchor off its body's origin, a turned base that is welded to the world, gravity that is not along z,
+# an angle at which the arm is drawn, a body welded to a link, principal axes that are not the link's.
+TWO_LINKS = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option gravity="1 -2 -9"/>
+  <worldbody>
+    <body name="base" pos="0.3 -0.2 0.5" quat="0.8 0.1 -0.5 0.3">
+      <geom type="box" size="0.2 0.2 0.1" mass="3"/>
+      <body name="upper" pos="0.1 0 0.2" quat="0.9 0.3 0.1 0">
+        <joint name="shoulder" axis="1 2 -0.5" pos="0.05 -0.02 0.03" ref="0.4" damping="0.3" armature="0.02"
+               frictionloss="0.5" range="-1 1" actuatorfrcrange="-12 9"/>
+        <inertial pos="0.1 0.2 -0.05" mass="2" fullinertia="0.05 0.06 0.07 0.01 -0.005 0.008"/>
+        <body name="lamp" pos="0 0.3 0.1" euler="0.4 0.2 0.1">
+          <geom type="capsule" size="0.03 0.1" mass="0.4"/>
+        </body>
+        <body name="lower" pos="0 0.5 0" quat="0.7 -0.2 0.4 0.5">
+          <joint name="elbow" axis="0 -3 4" pos="-0.01 0.02 0" ref="-0.7" damping="0.1" frictionloss="0.2"/>
+          <geom type="ellipsoid" size="0.05 0.1 0.2" pos="0.1 0.1 0.2" euler="0.3 -0.6 0.9" mass="1.2"/>
+          <site name="tool" pos="0.05 0.1 0.4"/>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="elbow" gear="20" ctrllimited="true" ctrlrange="-0.2 0.25"/>
+  </actuator>
+</mujoco>
+"""
+
+# Seven hinges on five bodies: two pairs share a body, and every axis and anchor is its own.
+SEVEN_HINGES = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body pos="0 0 0.4">
+      <joint name="j1" axis="0 0 1"/><joint name="j2" axis="0 1 0.2" pos="0.02 0 0.1" ref="0.3"/>
+      <geom type="capsule" size="0.05" fromto="0 0 0 0.1 0 0.3" mass="4"/>
+      <body pos="0.1 0 0.3" quat="0.5 0.5 -0.5 0.5">
+        <joint name="j3" axis="0 0 -1" damping="0.4"/>
+        <geom type="box" size="0.1 0.05 0.2" pos="0 0.1 0.1" mass="3"/>
+        <body pos="0.05 0.3 0">
+          <joint name="j4" axis="1 1 1" armature="0.05"/>
+          <geom type="cylinder" size="0.04 0.1" pos="0.1 0 0" mass="2"/>
+          <body pos="0.2 0.1 0" euler="0.1 0.2 0.3">
+            <joint name="j5" axis="1 0 0" ref="-0.2"/><joint name="j6" axis="0 -1 0" pos="0.03 0 0"/>
+            <geom type="box" size="0.03 0.04 0.1" pos="0 0 0.1" mass="1"/>
+            <body pos="0 0 0.2">
+              <joint name="j7" axis="0 0 1" pos="0 0.01 0"/>
+              <geom type="sphere" size="0.05" pos="0.02 0 0.05" mass="0.5"/>
+              <body pos="0 0 0.1" euler="1 0 0"><geom type="box" size="0.02 0.03 0.04" mass="0.3"/></body>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+URDF = """
+<robot name="lamp">
+  <link name="base"/>
+  <link name="upper"><inertial><origin xyz="0.2 0 0.1" rpy="0.3 0 0"/><mass value="2"/>
+    <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0.001" ixz="0" iyz="0.002"/></inertial></link>
+  <link name="lower"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
+    <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <link name="hand"><inertial><origin xyz="0.1 0 0"/><mass value="0.5"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3" rpy="0.1 0 0"/>
+    <axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="50" velocity="2"/><dynamics damping="0.7" friction="0.3"/></joint>
+  <joint name="elbow" type="continuous"><parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0" rpy="0 0 0.3"/>
+    <axis xyz="0 0.6 0.8"/></joint>
+  <joint name="weld" type="fixed"><parent link="lower"/><child link="hand"/><origin xyz="0.2 0 0"/></joint>
+</robot>
+"""
+
+ONE_HINGE = """
+<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 0 1"/>
+  <geom type="box" size="0.1 0.2 0.3" pos="0.2 0 0" mass="1"/></body></worldbody></mujoco>
+"""
+
+ARMS = {"two links": ("arm.xml", TWO_LINKS), "seven hinges": ("arm.xml", SEVEN_HINGES), "urdf": ("arm.urdf", URDF)}
+ARMS["one hinge"] = ("arm.xml", ONE_HINGE)
+
+accelerations = jaxftc.jit(plant.acceleration, static_argnums=(0, 1))
+
+
+def load(folder: Path, text: str, name: str = "arm.xml") -> jaxftc.Robot:
+    (folder / name).write_text(text)
+    return jaxftc.load_robot(folder / name)
+
+
+def refuses(*parts: str):
+    """ValueError whose text holds these parts in this order."""
+    return pytest.raises(ValueError, match="(?s)" + ".*".join(map(re.escape, parts)))
+
+
+def acceleration_in_c(robot: jaxftc.Robot, payload: float, q, qd, tau) -> np.ndarray:
+    model = copy.copy(robot.mj_model)
+    model.body_mass[model.body(PAYLOAD).id] = payload
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    friction = np.asarray(plant.coulomb(robot, qd))
+    qdd = np.empty_like(q)
+    for k in range(q.shape[1]):
+        data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q[:, k], qd[:, k], tau[:, k] - friction[:, k]
+        mujoco.mj_forward(model, data)
+        qdd[:, k] = data.qacc
+    return qdd
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_any_serial_arm_moves_as_in_mujoco(tmp_path, arm):
+    name, text = ARMS[arm]
+    robot = load(tmp_path, text, name)
+    draw = np.random.default_rng(robot.n)
+    q, qd, tau = (draw.uniform(-size, size, (robot.n, 30)) for size in (np.pi, 3.0, 10.0))
+    loaded = jaxftc.nominal_plant(robot)._replace(payload=jnp.asarray(1.5))
+    expected = acceleration_in_c(robot, 1.5, q, qd, tau)
+    for engine in ("chain", "mjx"):
+        got = accelerations(robot, engine, loaded, q, qd, tau)
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9, err_msg=engine)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_inverse_dynamics_of_any_serial_arm(tmp_path, arm):
+    name, text = ARMS[arm]
+    robot = load(tmp_path, text, name)
+    q, qd, qdd = np.random.default_rng(robot.n).uniform(-2, 2, (3, robot.n, 5))
+    tau = jaxftc.inverse_dynamics(robot, q, qd, qdd)
+    got = accelerations(robot, "chain", jaxftc.nominal_plant(robot), q, qd, tau)
+    np.testing.assert_allclose(got, qdd, rtol=1e-9, atol=1e-9)
+
+
+def test_what_a_model_says_about_its_joints(tmp_path):
+    robot = load(tmp_path, TWO_LINKS, "desk-lamp.xml")
+    assert (robot.name, robot.n, robot.joint_names) == ("desk-lamp", 2, ("shoulder", "elbow"))
+    np.testing.assert_allclose(robot.q_zero, [0.4, -0.7])
+    np.testing.assert_allclose(robot.gravity, [1, -2, -9])
+    np.testing.assert_allclose(robot.armature, [0.02, 0])
+    np.testing.assert_allclose(robot.damping, [0.3, 0.1])
+    # Dry friction is a smooth torque, no constraint; the model's own motors and joint ranges limit the torque.
+    np.testing.assert_allclose(robot.coulomb_positive, [0.5, 0.2])
+    np.testing.assert_allclose(robot.coulomb_negative, [0.5, 0.2])
+    np.testing.assert_allclose(robot.torque_limit, [12, 5])
+
+
+def test_direction_dependent_friction_stands_in_the_joints_user_data(tmp_path):
+    text = ONE_HINGE.replace('axis="0 0 1"', 'axis="0 0 1" user="0.4 0.7" frictionloss="9"')
+    robot = load(tmp_path, text.replace("<mujoco>", '<mujoco><size nuser_jnt="2"/>'))
+    assert (robot.coulomb_positive, robot.coulomb_negative) == (0.4, 0.7)
+
+
+def test_what_a_urdf_says_about_its_joints(tmp_path):
+    robot = load(tmp_path, URDF, "lamp.urdf")
+    assert (robot.name, robot.n, robot.joint_names) == ("lamp", 2, ("shoulder", "elbow"))
+    np.testing.assert_allclose(robot.torque_limit, [50, np.inf])
+    np.testing.assert_allclose(robot.damping, [0.7, 0])
+    np.testing.assert_allclose(robot.coulomb_positive, [0.3, 0])
+
+
+def test_a_loaded_arm_runs_the_whole_loop(tmp_path):
+    """Seven joints without torque limits: nothing in the controller is made for six."""
+    config = jaxftc.Config(load(tmp_path, SEVEN_HINGES), engine="chain", duration=0.05)
+    healthy = jaxftc.paper_scenario("healthy", config)._replace(noise=jnp.zeros(()))
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), healthy, jax.random.key(0))
+    assert trace.q.shape == (50, 7)
+    assert np.abs(trace.q - trace.q_ref).max() < 1e-3
+    assert not trace.out.detected.any()
+
+
+def test_robots_are_compared_by_what_they_were_compiled_from(tmp_path):
+    one, same = load(tmp_path, TWO_LINKS), load(tmp_path, TWO_LINKS)
+    heavier = load(tmp_path, TWO_LINKS.replace('mass="1.2"', 'mass="1.3"'))
+    assert one == same and hash(one) == hash(same) and one is not same
+    assert one != heavier and one != "arm" and len({one, same, heavier}) == 2
+    assert jaxftc.puma560() is jaxftc.puma560()
+    assert jaxftc.puma560() != jaxftc.puma560(coulomb=False)
+
+
+def test_configs_are_compared_by_value():
+    one, same = (jaxftc.Config(jaxftc.puma560(), engine="chain") for _ in range(2))
+    assert one == same and hash(one) == hash(same)
+    assert one != dataclasses.replace(one, observer="pi")
+    assert one.fingerprint == dataclasses.replace(one, observer="pi").fingerprint, "the same gains serve every observer"
+    others = [dataclasses.replace(one, **change) for change in ({"dt": 2e-3}, {"order_a": 4}, {"input": "torque"})]
+    assert len({one.fingerprint, *(other.fingerprint for other in others)}) == 4
+
+
+# Refusals: robots.
+
+
+def body(joint: str) -> str:
+    return f'<mujoco><worldbody><body name="b">{joint}<geom size="0.1" mass="1"/></body></worldbody></mujoco>'
+
+
+LIMB = '<body name="{}"><joint/><geom size="0.1" mass="1"/>{}</body>'
+BRANCHES = LIMB.format("trunk", LIMB.format("left", "") + LIMB.format("right", ""))
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (body("<freejoint/>"), ["arm: joint '' is a free joint; only hinges are supported, so weld the base to the world"]),
+        (body('<joint name="rail" type="slide"/>'), ["arm: joint 'rail' is a slide joint; only hinges are supported"]),
+        (body('<joint name="hip" type="ball"/>'), ["arm: joint 'hip' is a ball joint; only hinges are supported"]),
+        (body(""), ["arm has no joint; a serial arm of at least one hinge is needed"]),
+        (
+            f"<mujoco><worldbody>{BRANCHES}</worldbody></mujoco>",
+            ["arm: body 'right' branches off; only one serial chain is supported, so remove or weld the joints"],
+        ),
+        ("<mujoco><worldbody>", ["arm.xml does not compile: XML parse error"]),
+        (body("<joint/>").replace(' mass="1"', ' mass="0"'), ["arm does not compile:", "mass and inertia"]),
+    ],
+    ids=["free", "slide", "ball", "no joint", "branch", "not XML", "no mass"],
+)
+def test_what_is_no_serial_arm_of_hinges_is_refused(tmp_path, text, parts):
+    with refuses(*parts):
+        load(tmp_path, text)
+
+
+def test_a_missing_robot_file_is_refused(tmp_path):
+    for path in (tmp_path / "none.xml", tmp_path):
+        with refuses(f"no robot file at {path}; give an MJCF or URDF file, or 'puma560' for the built-in arm"):
+            jaxftc.load_robot(path)
+
+
+def test_dynamics_refuse_wrong_shapes_and_engines(puma):
+    six, five = np.zeros(6), np.zeros(5)
+    with refuses("tau must have the 6 joints on its first axis ([6] or [6, scenarios]), got shape (5,)"):
+        jaxftc.forward_dynamics(puma, six, six, five)
+    with refuses("qdd must have the 6 joints on its first axis", "got shape ()"):
+        jaxftc.inverse_dynamics(puma, six, six, 0.0)
+    with refuses("engine must be one of 'mjx', 'chain', got 'chains'; did you mean 'chain'?"):
+        jaxftc.forward_dynamics(puma, six, six, six, engine="chains")
+
+
+# Refusals: configs.
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"robot": "puma560"}, "robot must be a Robot, got str; call puma560() or load_robot(path)"),
+        ({"engine": "mujoco"}, "engine must be one of 'mjx', 'chain', got 'mujoco'"),
+        ({"observer": "ESO"}, "observer must be one of 'pi', 'eso', 'ts', got 'ESO'"),
+        ({"control": "afsmc"}, "control must be one of 'smc', 'esmc', 'afesmc', got 'afsmc'; did you mean 'afesmc'?"),
+        ({"input": "torques"}, "input must be one of 'rigid_body', 'torque', got 'torques'; did you mean 'torque'?"),
+        ({"rules": "mended"}, "rules must be one of 'printed', 'symmetric', 's_only', got 'mended'"),
+        ({"sign": "soft"}, "sign must be one of 'smooth', 'hard', got 'soft'"),
+        ({"dt": -1e-3}, "dt must be a positive, finite number of seconds, got -0.001"),
+        ({"dt": 0.0}, "dt must be a positive, finite number of seconds, got 0.0"),
+        ({"dt": float("nan")}, "dt must be a positive, finite number of seconds, got nan"),
+        ({"dt": "1e-3"}, "dt must be a positive, finite number of seconds, got '1e-3'"),
+        ({"t_final": float("inf")}, "t_final must be a positive, finite number of seconds, got inf"),
+        ({"t_final": 0.0015}, "t_final must be a multiple of dt = 0.001 s, got 0.0015 s; the nearest is 0.002 s"),
+        ({"duration": -1.0}, "duration must be a positive, finite number of seconds, got -1.0"),
+        ({"duration": 0.1234}, "duration must be a multiple of dt = 0.001 s, got 0.1234 s; the nearest is 0.123 s"),
+        ({"order_a": 1}, "order_a must be an integer of at least 2, got 1; a joint is a double integrator; 3 suits it"),
+        ({"order_b": 1}, "order_b must be an integer of at least 2, got 1; a joint is a double integrator; 2 suits it"),
+        ({"order_b": 2.0}, "order_b must be an integer of at least 2, got 2.0"),
+        ({"order_b": True}, "order_b must be an integer of at least 2, got True"),
+        ({"alarm_ticks": 0}, "alarm_ticks must be an integer of at least 1, got 0; 1 alarms at once"),
+        ({"release_ticks": 0}, "release_ticks must be an integer of at least 1, got 0; 1 releases at once"),
+        ({"kick_ticks": -1}, "kick_ticks must be an integer of at least 0, got -1; 0 switches the second look off"),
+    ],
+    ids=str,
+)
+def test_configs_are_refused(puma, change, text):
+    with refuses(text):
+        jaxftc.Config(**{"robot": puma} | change)
+
+
+# Refusals: gains.
+
+
+def with_gain(gains: jaxftc.Gains, path: str, value) -> jaxftc.Gains:
+    block, name = path.split(".")
+    return dataclasses.replace(gains, **{block: dataclasses.replace(getattr(gains, block), **{name: jnp.asarray(value)})})
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "text"),
+    [
+        ("control.lam", [20.0] * 5, "control.lam must have shape [6], got [5]; n is 6 joints"),
+        ("control.lam", 20.0, "control.lam must have shape [6], got []; n is 6 joints"),
+        ("arx.kappa_a", np.zeros((6, 2)), "arx.kappa_a must have shape [6, 3], got [6, 2]; n is 6 joints"),
+        ("control.lam", [[20.0] * 6] * 3, "control.lam must have shape [6], got [3, 6]; n is 6 joints"),
+        ("control.lam", [np.nan] * 6, "control.lam must be finite, got [nan, nan, nan, nan, nan, nan]"),
+        ("observer.alpha_i", [np.inf] * 6, "observer.alpha_i must be finite, got [inf,"),
+        ("arx.xi_a", [1.0] * 6, "arx.xi_a must lie in (-1, 1)"),
+        ("arx.xi_b", [-1.0] * 6, "arx.xi_b must lie in (-1, 1)"),
+        ("control.q_widths", [-0.1] * 7, "control.q_widths must lie in (0,"),
+        ("observer.tau_widths", [0.0, 0.1], "observer.tau_widths must lie in (0,"),
+        ("observer.alpha_p", [1.01] * 6, "observer.alpha_p must lie in (0, 1]"),
+        ("observer.alpha_i", [-1.0] * 6, "observer.alpha_i must lie in [0,"),
+        ("control.outputs", [0.5, 1.0, 3.5], "control.outputs must lie in [0, 3]"),
+        ("control.q_centres", [0.0] * 7, "control.q_centres must increase from set to set"),
+        ("observer.jump_centres", [1.0, 0.0], "observer.jump_centres must increase from set to set, got [1.0, 0.0]"),
+    ],
+)
+def test_gains_are_refused_by_every_door(config, path, value, text):
+    gains = with_gain(jaxftc.default_gains(config), path, value)
+    for call in (
+        lambda: jaxftc.init(config, gains, np.zeros(6)),
+        lambda: jaxftc.simulate(config, gains, jaxftc.paper_scenario("healthy", config), jax.random.key(0)),
+    ):
+        with refuses(text):
+            call()
+
+
+def test_poles_at_one_would_divide_by_zero_in_the_bank_at_rest(config):
+    """The limit that the check guards: at a pole of 1 the settled bank is infinite."""
+    gains = with_gain(jaxftc.default_gains(config), "arx.xi_a", [0.999999] * 6)
+    assert np.isfinite(jaxftc.init(config, gains, np.ones(6)).observer.arx.x_a).all()
+
+
+# Refusals: the tick and the closed loop.
+
+
+@pytest.mark.parametrize(
+    ("q", "text"),
+    [
+        (np.zeros(5), "q must have the 6 joints on its first axis ([6] or [6, scenarios]), got shape (5,)"),
+        (np.zeros((4, 6)), "q must have the 6 joints on its first axis ([6] or [6, scenarios]), got shape (4, 6)"),
+        (0.0, "q must have the 6 joints on its first axis ([6] or [6, scenarios]), got shape ()"),
+        ([0.0, np.nan, 0, 0, 0, 0], "q must be finite, got [0.0, nan, 0.0, 0.0, 0.0, 0.0]; give the arm's measured angles"),
+    ],
+)
+def test_init_refuses(config, q, text):
+    with refuses(text):
+        jaxftc.init(config, jaxftc.default_gains(config), q)
+
+
+@pytest.mark.parametrize("signal", ["measurement.q", "measurement.tau", "reference.q", "reference.qd", "reference.qdd"])
+@pytest.mark.parametrize("shape", [(5,), (), (1,)])
+def test_step_refuses_wrong_shapes_also_under_jit(config, signal, shape):
+    gains, six = jaxftc.default_gains(config), jnp.zeros(6)
+    state = jaxftc.init(config, gains, six)
+    signals = {"reference": jaxftc.Reference(six, six, six), "measurement": jaxftc.Measurement(six, six)}
+    kind, field = signal.split(".")
+    signals[kind] = signals[kind]._replace(**{field: jnp.zeros(shape)})
+    for tick in (jaxftc.step, jaxftc.jit(jaxftc.step, static_argnums=0)):
+        with refuses(f"{signal} must have the 6 joints on its first axis", f"got shape {shape}"):
+            tick(config, gains, state, signals["reference"], signals["measurement"])
+
+
+def edited(scenario: jaxftc.Scenario, path: str, value) -> jaxftc.Scenario:
+    first, *rest = path.split(".")
+    return scenario._replace(**{first: edited(getattr(scenario, first), ".".join(rest), value) if rest else value})
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "text"),
+    [
+        ("q_start", np.full(6, np.nan), "scenario.q_start must be finite, got [nan,"),
+        ("q_goal", np.full(6, np.inf), "scenario.q_goal must be finite, got [inf,"),
+        ("q_goal", np.zeros(5), "scenario.q_goal must have the 6 joints on its first axis"),
+        ("fault_tau.kind", np.zeros(5, int), "scenario.fault_tau.kind must have the 6 joints on its first axis"),
+        ("fault_q.magnitude", np.full(6, np.nan), "scenario.fault_q.magnitude must be finite, got [nan,"),
+        ("fault_q.onset", np.full(6, np.nan), "scenario.fault_q.onset must be finite, got [nan,"),
+    ],
+)
+def test_simulate_refuses(config, path, value, text):
+    scenario = edited(jaxftc.paper_scenario("both", config), path, jnp.asarray(value))
+    with refuses(text, ""):
+        jaxftc.simulate(config, jaxftc.default_gains(config), scenario, jax.random.key(0))
+
+
+def test_simulate_refuses_scenarios_on_a_leading_axis(config):
+    sampled = jaxftc.sample_scenarios(jax.random.key(0), 4, config=config)
+    with refuses("sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"):
+        jaxftc.simulate(config, jaxftc.default_gains(config), sampled, jax.random.key(0))
+
+
+def test_scenarios_are_refused(config):
+    with refuses("condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'sensors'; did you mean 'sensor'?"):
+        jaxftc.paper_scenario("sensors", config)
+    with refuses("preset must be one of", "got 'papr'; did you mean 'paper'?"):
+        jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papr", config=config)
+    with refuses("n must be an integer of at least 1, got 0; it is the number of scenarios"):
+        jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)
+
+
+# Gains files.
+
+
+@pytest.fixture
+def gains_file(config, tmp_path) -> Path:
+    path = tmp_path / "gains.toml"
+    jaxftc.save_gains(path, jaxftc.default_gains(config), config)
+    return path
+
+
+def test_gains_survive_a_file_bit_for_bit(config, tmp_path):
+    draw = np.random.default_rng(0)
+    gains = jax.tree.map(lambda x: x * (1 + 1e-3 * draw.uniform(size=x.shape)), jaxftc.default_gains(config))
+    gains = with_gain(gains, "arx.xi_a", draw.uniform(0.5, 0.9, 6))
+    gains = with_gain(gains, "observer.alpha_p", draw.uniform(0.1, 1.0, 6))
+    gains = with_gain(gains, "observer.alpha_f2", draw.uniform(0.1, 1.0, 6))
+    gains = with_gain(gains, "diagnosis.lam_q", draw.uniform(0.1, 1.0, 6))
+    jaxftc.save_gains(tmp_path / "gains.toml", gains, config)
+    read = jaxftc.load_gains(str(tmp_path / "gains.toml"), config)
+    jax.tree.map(np.testing.assert_array_equal, read, gains)
+    assert [path.name for path in tmp_path.iterdir()] == ["gains.toml"], "nothing is left beside the file"
+
+
+def test_gains_file_says_units_robot_and_version(config, gains_file):
+    table = tomllib.loads(gains_file.read_text())
+    assert table["made_with"] == {"jaxftc": jaxftc.__version__, "robot": "puma560", "fingerprint": config.fingerprint}
+    assert table["control"]["lam"] == {"unit": "1/s", "value": [20.0] * 6}
+
+
+def rename(table: dict) -> None:
+    table["observer"]["alpha_pp"] = table["observer"].pop("alpha_p")
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (rename, ["gains.toml: unknown gain 'observer.alpha_pp'; did you mean 'observer.alpha_p'?"]),
+        (lambda t: t.update(contrl=t.pop("control")), ["unknown gain 'contrl.lam'; did you mean 'control.lam'?"]),
+        (lambda t: t["observer"].pop("alpha_p"), ["gains.toml lacks observer.alpha_p; write it with save_gains"]),
+        (lambda t: t.pop("arx"), ["gains.toml lacks arx.xi_a, arx.xi_b, arx.kappa_a, arx.kappa_b, arx.offset;"]),
+        (
+            lambda t: t["diagnosis"]["alpha_q"].update(unit="deg"),
+            ["gains.toml: diagnosis.alpha_q must be a table of unit = 'rad' and value, got {'unit': 'deg'"],
+        ),
+        (
+            lambda t: t["control"].update(lam=[20.0] * 6),
+            ["control.lam must be a table of unit = '1/s' and value, got [20.0"],
+        ),
+        (lambda t: t["control"]["lam"].update(value="fast"), ["gains.toml: control.lam must hold numbers, got 'fast'"]),
+        (lambda t: t["control"]["lam"].update(value=[float("nan")] * 6), ["control.lam must be finite, got [nan,"]),
+        (lambda t: t["control"]["lam"].update(value=[20.0] * 5), ["control.lam must have shape [6], got [5]"]),
+        (lambda t: t["control"]["lam"].update(value=[-20.0] * 6), ["control.lam must lie in (0,"]),
+    ],
+)
+def test_wrong_gains_files_are_refused(config, gains_file, change: Callable[[dict], object], parts):
+    table = tomllib.loads(gains_file.read_text())
+    change(table)
+    gains_file.write_text(tomli_w.dumps(table))
+    with refuses(*parts):
+        jaxftc.load_gains(gains_file, config)
+
+
+def test_unreadable_gains_files_are_refused(config, tmp_path):
+    path = tmp_path / "gains.toml"
+    for content in (None, b"lam = ]", b"\xff\xfe\x00"):
+        if content is not None:
+            path.write_bytes(content)
+        with refuses(f"cannot read gains from {path}: "):
+            jaxftc.load_gains(path, config)
+
+
+@pytest.mark.parametrize("change", [{"dt": 2e-3}, {"order_a": 4}, {"input": "torque"}, {"robot": jaxftc.puma560}])
+def test_gains_of_another_system_are_refused(config, gains_file, change):
+    other = dataclasses.replace(config, **{key: value() if callable(value) else value for key, value in change.items()})
+    with refuses("holds gains for another robot, sample time, orders or input (robot 'puma560')"):
+        jaxftc.load_gains(gains_file, other)
+
+
+def test_gains_without_a_fingerprint_fit_any_system_of_their_shapes(config, tmp_path):
+    jaxftc.save_gains(tmp_path / "gains.toml", jaxftc.default_gains(config))
+    other = dataclasses.replace(config, robot=jaxftc.puma560())
+    assert jaxftc.load_gains(tmp_path / "gains.toml", other).control.lam.shape == (6,)
