@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib
 import io
-import sys
 import threading
 from typing import Any
 
@@ -21,20 +19,18 @@ import numpy as np
 from jaxftc.arm.robot import PAYLOAD, Robot
 from jaxftc.types import Array
 
-
 _IMPORT = threading.Lock()
 
 
+@functools.cache
 def _mjx() -> Any:
     """The module; its import prints about optional packages to stdout, where a command's JSON may be.
 
     Under a lock: two threads that redirect stdout at once can leave it redirected.
     """
-    with _IMPORT:
-        if "mujoco.mjx" not in sys.modules:
-            with contextlib.redirect_stdout(io.StringIO()):
-                importlib.import_module("mujoco.mjx")
-    return sys.modules["mujoco.mjx"]
+    with _IMPORT, contextlib.redirect_stdout(io.StringIO()):
+        from mujoco import mjx
+    return mjx
 
 
 @functools.cache
