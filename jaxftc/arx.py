@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
 from jaxftc import laguerre
 from jaxftc.config import Config
@@ -51,7 +50,7 @@ def advance(gains: ArxGains, state: State, y: Array, u: Array) -> State:
     return State(laguerre.advance(gains.xi_a, state.x_a, y), laguerre.advance(gains.xi_b, state.x_b, u))
 
 
-def exact_kappa(xi: Array | np.ndarray, order_a: int, order_b: int, dt: float) -> tuple[Array, Array]:
+def exact_kappa(xi: Array, order_a: int, order_b: int, dt: float) -> tuple[Array, Array]:
     """Read-out [n, order_a], [n, order_b] that makes the model an exact double integrator of v, for equal poles xi [n].
 
     From ``1 - H_y = (z - 1)^2 / (z - xi)^2`` and ``H_v = dt^2 z / (z - xi)^2``, which two Laguerre functions each span;

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import arx
+from jaxftc.arm import chain, plant
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, Gains, build, shape_of, specs
+from jaxftc.identify.readout import rounded, with_kappa
 
 
 def default_gains(config: Config) -> Gains:
@@ -21,19 +24,18 @@ def default_gains(config: Config) -> Gains:
     for block, name, spec in specs():
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
-    kappa_a, kappa_b = _exact_kappa(config, values["arx"]["xi_a"])
+    with jax.enable_x64(True):  # the read-out's parts differ by a factor of dt^2
+        xi = jnp.asarray(values["arx"]["xi_a"])
+        kappa_a, kappa_b = map(np.asarray, arx.exact_kappa(xi, config.order_a, config.order_b, config.dt))
+        read_in = np.ones((config.n, 1)) if config.input == "rigid_body" else np.linalg.inv(_inertia(config))
+    kappa_b = read_in[:, :, None] * kappa_b[:, None]
     values["arx"] |= {"kappa_a": kappa_a, "kappa_b": kappa_b}
-    return build(config, values)
+    gains = build(config, values)
+    kappa = np.concatenate([kappa_a, kappa_b.reshape(config.n, -1), np.zeros((config.n, 1))], axis=1)
+    return with_kappa(config, gains, rounded(config, gains.arx, kappa))
 
 
-def _exact_kappa(config: Config, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    kappa_a, kappa_b = (
-        np.asarray(k, float) for k in arx.exact_kappa(np.asarray(xi), config.order_a, config.order_b, config.dt)
-    )  # pyright: ignore[reportArgumentType]
-    if config.input == "rigid_body":
-        return kappa_a, kappa_b[:, None]
-    mass = np.zeros((config.n, config.n))
-    data = mujoco.MjData(config.robot.mj_model)
-    mujoco.mj_forward(config.robot.mj_model, data)
-    mujoco.mj_fullM(config.robot.mj_model, mass, data.qM)
-    return kappa_a, np.linalg.inv(mass)[:, :, None] * kappa_b[None]
+def _inertia(config: Config) -> np.ndarray:
+    """M [n, n] kg m^2 of the nominal arm in its zero position."""
+    rows = plant.nominal_mass(config.robot, chain.pose(config.robot, jnp.asarray(config.robot.q_zero)))
+    return np.array([[float(m) for m in row] for row in rows])

@@ -120,7 +120,7 @@ def test_the_rigid_body_input_is_the_acceleration_of_the_plant(rigid, clean_trac
 def test_a_wider_window_trades_noise_for_little_error(rigid, clean, noisy):
     config, _ = rigid
     smoothed, exact = (identify.model_input(config, clean, half_window) for half_window in (5, 1))
-    assert np.sqrt(((smoothed - exact) ** 2).mean()) < 0.02  # rad/s^2, of 30; nearly all where the motion starts
+    assert np.sqrt(((smoothed - exact) ** 2).mean()) < 0.02  # rad/s^2, of 30; most of it where the log ends
     rough = [np.diff(identify.model_input(config, noisy, half_window), axis=0).std() for half_window in (5, 1)]
     assert rough[0] < rough[1]
 
@@ -170,7 +170,7 @@ def test_without_noise_batch_finds_the_exact_model(rigid, clean):
     z = np.exp(1j * np.geomspace(1e-3, np.pi, 50))
     (h_y, h_v), (exact_y, exact_v) = response(found, z), response(gains, z)
     np.testing.assert_allclose(h_y, exact_y, rtol=2e-4)
-    np.testing.assert_allclose(h_v, exact_v, atol=2e-4 * np.abs(exact_v).max())
+    np.testing.assert_allclose(h_v, exact_v, atol=1e-3 * np.abs(exact_v).max())
     np.testing.assert_allclose(exact_y, np.broadcast_to(1 - (z - 1) ** 2 / (z - 0.8) ** 2, exact_y.shape), rtol=1e-9)
     size = {name: np.degrees(value) for name, value in worst(identify.errors(config, found, clean)).items()}
     assert size["one_step"] < 2e-5 and size["fifty_step"] < 1e-4 and size["free_run"] < 5e-3

@@ -58,7 +58,7 @@ def test_steady_gain_is_the_banks_rest_state(xi):
 
 @given(st.floats(-0.5, 0.95))
 def test_exact_read_out_is_the_twins(xi):
-    kappa_a, kappa_b = arx.exact_kappa(np.array([xi]), 3, 2, DT)
+    kappa_a, kappa_b = arx.exact_kappa(jnp.array([xi]), 3, 2, DT)
     np.testing.assert_allclose(np.r_[kappa_a[0], kappa_b[0]], twin_laguerre.exact_kappa(xi, DT), rtol=1e-9, atol=1e-15)
 
 
@@ -68,7 +68,7 @@ def test_exact_read_out_predicts_a_double_integrator_at_any_order(rng):
     for k in range(299):
         y[k + 1] = 2 * y[k] - (y[k - 1] if k else 0.0) + DT**2 * v[k]
     for order_a, order_b in ((2, 2), (3, 2), (5, 4)):
-        kappa_a, kappa_b = arx.exact_kappa(np.array([0.7]), order_a, order_b, DT)
+        kappa_a, kappa_b = arx.exact_kappa(jnp.array([0.7]), order_a, order_b, DT)
         x_a, x_b = jnp.zeros((1, order_a)), jnp.zeros((1, order_b))
         for k in range(300):
             y_hat = float((kappa_a * x_a).sum() + (kappa_b * x_b).sum())

@@ -23,7 +23,7 @@ REST_TICKS, REST_SPEED = 10, 0.15  # ticks that the speed at the start is taken 
 
 
 class Log(NamedTuple):
-    """One motion at the sample time ``config.dt``, time first. It starts with the arm at rest."""
+    """One healthy motion at the sample time ``config.dt``, time first. It starts with the arm at rest."""
 
     q: np.ndarray | Array  # [T, n] rad, encoder
     tau: np.ndarray | Array  # [T, n] N m, commanded in the tick of the reading and held until the next
@@ -31,6 +31,8 @@ class Log(NamedTuple):
 
 def from_trace(trace: Trace) -> Log:
     """Log of one simulated run: readings and commands, as a robot would record them; no true value is used.
+
+    A fault in the run is identified as part of the arm: take a healthy one.
 
     Raises:
         ValueError: the trace has scenario axes.
