@@ -96,14 +96,14 @@ def test_mjx_decides_the_same(condition, paper_arm):
     assert all(isolated for _, isolated, _ in results)
 
 
-def test_hard_sign_still_decides(paper_arm):
-    """The printed sgn raises the noise floor; the verdicts of the paper's conditions survive it."""
+def test_hard_sign_raises_the_noise_floor(paper_arm):
+    """Gains for the smooth sign are not simply valid with the printed one: the healthy residual grows past the threshold."""
     with jax.enable_x64(False):
-        config = jaxftc.Config(paper_arm, engine="chain", sign="hard")
+        config = jaxftc.Config(paper_arm, engine="chain")
         batch = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
         smooth, hard = (
             merits(dataclasses.replace(config, sign=s), jaxftc.default_gains(config), batch) for s in ("smooth", "hard")
         )
-    assert hard[0].fault_tau_rms_nm > smooth[0].fault_tau_rms_nm
     assert [m.isolated for m in smooth] == [True] * 4
-    assert sum(m.isolated for m in hard) >= 3
+    assert hard[0].fault_tau_rms_nm > 5 * smooth[0].fault_tau_rms_nm
+    assert hard[2].isolated  # the jump rule does not use the sign
