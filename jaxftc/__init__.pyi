@@ -14,9 +14,9 @@ from jaxftc.controller import State as State
 from jaxftc.controller import init as init
 from jaxftc.controller import step as step
 from jaxftc.defaults import default_gains as default_gains
+from jaxftc.faults.sample import sample_scenarios as sample_scenarios
 from jaxftc.faults.scenario import Scenario as Scenario
 from jaxftc.faults.scenario import paper_scenario as paper_scenario
-from jaxftc.faults.scenario import sample_scenarios as sample_scenarios
 from jaxftc.faults.scenario import trail as trail
 from jaxftc.gains import Gains as Gains
 from jaxftc.gains_file import load_gains as load_gains

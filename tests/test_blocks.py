@@ -132,13 +132,14 @@ def each(*blocks: Block, slow: list[Block] = ()):
     )
 
 
-def draw(block: Block, axes: tuple[int, ...], ticks: int, dtype=float) -> list[tuple[jax.Array, ...]]:
+def draw(block: Block, axes: tuple[int, ...], ticks: int) -> list[tuple[jax.Array, ...]]:
     """Signals of some ticks, spread over their natural sizes; for one arm or for scenarios on trailing axes."""
     random = np.random.default_rng(7)
     shape = (N, *axes)
-    return [tuple(jnp.asarray(random.uniform(-size, size, shape), dtype) for size in block.sizes) for _ in range(ticks)]
+    return [tuple(jnp.asarray(random.uniform(-size, size, shape)) for size in block.sizes) for _ in range(ticks)]
 
 
+@functools.cache
 def tick_of(block: Block) -> tuple[Callable[..., Any], jaxftc.Gains]:
     """tick(gains, state, *signals) with the gains aligned, and the default gains."""
     config = block.config()
@@ -169,19 +170,19 @@ def all_finite(tree: Any) -> bool:
 
 
 @each(*SMALL, *PAIRS, *VARIANTS)
-@pytest.mark.parametrize("axes", [(), (3,), (2, 3)], ids=["one", "[n,3]", "[n,2,3]"])
+@pytest.mark.parametrize("axes", [(), (2, 3)], ids=["one", "scenarios"])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["single", "double"])
 def test_state_comes_out_as_it_went_in(block, axes, dtype):
     """Same tree, shapes and precision; every number of the info in the same precision too, scenarios on its last axes."""
     tick, gains = tick_of(block)
-    gains = jax.tree.map(lambda leaf: leaf.astype(dtype), gains)
-    (signals,) = draw(block, axes, 1, dtype)
-    state = begin(block, gains, signals[0])
+    gains = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), gains)
+    signals = [jax.ShapeDtypeStruct((N, *axes), dtype)] * len(block.sizes)
+    state = jax.eval_shape(functools.partial(begin, block), gains, signals[0])
     after, info = jax.eval_shape(tick, gains, state, *signals)
     assert layout(after) == layout(state)
-    for leaf in jax.tree.leaves(info):
-        assert leaf.shape in ((N, *axes), axes)
+    for leaf in jax.tree.leaves((state, info)):
         assert leaf.dtype == dtype or not jnp.issubdtype(leaf.dtype, jnp.floating)
+    assert {leaf.shape for leaf in jax.tree.leaves(info)} <= {(N, *axes), axes}
 
 
 @each(*SMALL, *PAIRS, slow=VARIANTS)

@@ -128,7 +128,7 @@ def test_sampled_scenarios_have_a_leading_axis_and_their_ids(config):
 
 
 def test_noise_depends_on_the_id_not_on_the_place(config):
-    scenarios = jaxftc.sample_scenarios(jax.random.key(0), 8, config=config)
+    scenarios = jaxftc.sample_scenarios(jax.random.key(0), 8, preset="paper", config=config)
     key = jax.random.key(5)
     whole = encoder_noise(config, trail(scenarios), key, jnp.float64)
     part = encoder_noise(config, trail(jax.tree.map(lambda leaf: leaf[jnp.array([6, 2])], scenarios)), key, jnp.float64)
@@ -143,7 +143,7 @@ def test_refusals(config):
         ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"
     ):
         paper_scenario("actuators", config)
-    with pytest.raises(ValueError, match=r"preset must be one of 'paper', got 'papers'; did you mean 'paper'\?"):
+    with pytest.raises(ValueError, match=r"preset must be one of 'paper', 'standard', 'hard', 'doubles', got 'papers'; did"):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
     with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
         jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)

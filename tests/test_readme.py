@@ -32,4 +32,7 @@ def test_files_named_exist():
 
 
 def test_set_up_is_two_commands():
-    assert re.findall(r"```bash\n(.*?)\n```", README) == ["pip install -e . && jaxftc demo", "pip install -e '.[test]' && pytest"]
+    assert re.findall(r"```bash\n(.*?)\n```", README) == [
+        "pip install -e . && jaxftc demo",
+        "pip install -e '.[test]' && pytest",
+    ]

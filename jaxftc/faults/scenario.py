@@ -21,7 +21,6 @@ from jaxftc.reference import PAPER_GOAL, PAPER_START
 from jaxftc.types import Array
 
 CONDITIONS = ("healthy", "actuator", "sensor", "both")
-PRESETS = ("paper",)
 ENCODER_NOISE = 3e-5  # rad, standard deviation
 PAPER_TORQUE, PAPER_ANGLE = 5.0, math.radians(1.5)  # N m and rad, Eqs. (37), (38) with their units swapped
 PAPER_WINDOW = (0.1, 0.25)  # s
@@ -51,7 +50,7 @@ def paper_scenario(
     """
     checks.one_of("condition", condition, CONDITIONS)
     n = config.n
-    start, goal = (PAPER_START, PAPER_GOAL) if n == 6 else (config.robot.q_zero, config.robot.q_zero + 1.0)
+    start, goal = paper_motion(config)
     healthy = no_fault(n)
     window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
 
@@ -60,8 +59,8 @@ def paper_scenario(
 
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),
-        q_start=jnp.asarray(start, float),
-        q_goal=jnp.asarray(goal, float),
+        q_start=start,
+        q_goal=goal,
         noise=jnp.asarray(ENCODER_NOISE, float),
         fault_tau=bias(Actuator.BIAS, torque) if condition in ("actuator", "both") else healthy,
         fault_q=bias(Sensor.BIAS, angle) if condition in ("sensor", "both") else healthy,
@@ -69,18 +68,11 @@ def paper_scenario(
     )
 
 
-def sample_scenarios(key: Array, n: int, preset: str = "paper", *, config: Config) -> Scenario:
-    """N scenarios with a leading axis. Preset ``paper`` deals the four conditions in turn and draws nothing from ``key``.
-
-    Raises:
-        ValueError: an unknown preset, or n below 1.
-    """
-    del key  # the paper's conditions are fixed; only their noise differs, and that is drawn in simulate
-    checks.one_of("preset", preset, PRESETS)
-    checks.integer("n", n, 1, "it is the number of scenarios")
-    four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
-    ids = jnp.arange(n, dtype=jnp.int32)
-    return jax.tree.map(lambda leaf: leaf[ids % 4], four)._replace(id=ids)
+def paper_motion(config: Config) -> tuple[Array, Array]:
+    """Start and goal [n] rad: the paper's for six joints, otherwise one radian from the zero position."""
+    if config.n == len(PAPER_START):
+        return jnp.asarray(PAPER_START, float), jnp.asarray(PAPER_GOAL, float)
+    return jnp.asarray(config.robot.q_zero, float), jnp.asarray(config.robot.q_zero + 1.0, float)
 
 
 def stack(scenarios: list[Scenario]) -> Scenario:
