@@ -6,6 +6,7 @@ import difflib
 import math
 from collections.abc import Sequence
 
+import jax
 import numpy as np
 from jax.core import Tracer
 
@@ -55,3 +56,14 @@ def finite(name: str, value: object, what_to_do: str) -> None:
     array = np.asarray(value)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite, got {array.tolist()}; {what_to_do}")
+
+
+def same_shape(names: Sequence[str], values: Sequence[jax.Array]) -> None:
+    """Refuse arrays whose scenario axes differ: joints must not be broadcast onto scenarios."""
+    first = values[0].shape
+    for name, value in zip(names, values, strict=True):
+        if value.shape != first:
+            raise ValueError(
+                f"{name} must have the shape of {names[0]}, {list(first)}, got {list(value.shape)}; "
+                "give every signal the same scenario axes"
+            )

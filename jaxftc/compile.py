@@ -32,8 +32,10 @@ def compiler_options() -> dict[str, Any]:
 def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
     """``jax.jit`` with the options above, looked up at the first call so that importing starts no backend.
 
-    Options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` is inlined into it.
+    Options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds for
+    ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without the options: wrap those in this ``jit``.
     """
+    plain = jax.jit(fun, **kwargs)
 
     @functools.cache
     def compiled() -> Any:
@@ -41,7 +43,7 @@ def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
 
     @functools.wraps(fun)
     def call(*args: Any, **call_kwargs: Any) -> Any:
-        target = fun if is_tracing(args, call_kwargs) else compiled()
+        target = plain if is_tracing(args, call_kwargs) else compiled()
         return target(*args, **call_kwargs)
 
     return call

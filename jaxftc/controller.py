@@ -64,19 +64,16 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     Raises:
         ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``).
     """
-    for name, signal in (
-        ("measurement.q", measurement.q),
-        ("measurement.tau", measurement.tau),
-        ("reference.q", reference.q),
-    ):
-        checks.joints_first(name, signal, config.n)
-    axes = state.q.ndim - 1
-    gains = align(gains, axes)
+    check_gains(config, gains)
+    reference, measurement = _signals(config, state, reference, measurement)
+    gains = align(gains, state.q.ndim - 1)
     robot = config.robot
 
-    drive, qdd_before = _commanded(config, state.pending, measurement.tau)  # Eqs. (2), (3)
+    drive, qdd, believed = _commanded(config, state.pending, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.drive(gains, state.observer, drive)  # line 1
-    observer, seen = cascade.explain(config, gains, observer, measurement.q)  # lines 2 to 4, 7
+    observer, seen = cascade.explain(  # lines 2 to 4, 7
+        config, gains, observer, measurement.q, believed, state.decide.doubt
+    )
     at = chain.pose(robot, seen.q_hat)
     mass = plant.nominal_mass(robot, at)
     residuals = residual.generate(mass, seen.psi, seen.y, seen.y_hat)  # line 5
@@ -84,22 +81,22 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
 
     raw = config.control == "smc"
     q = seen.y if raw else seen.q_hat
-    believed = qdd_before if raw else qdd_before + state.pending.psi
-    qd = surface.speed(gains.control, state.qd, believed, state.q, q, config.dt)
+    qd = surface.speed(gains.control, state.qd, qdd if raw else believed, state.q + seen.shift, q, config.dt)
     sliding_surface = surface.surface(gains.control, q, qd, reference)
-    command = sliding.law(config, gains.control, sliding_surface, q, seen.psi, reference)  # lines 10 to 12
+    fault = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _commanded
+    command = sliding.law(config, gains.control, sliding_surface, q, fault, reference)  # lines 10 to 12
     tau = plant.nominal_torque(robot, chain.pose(robot, q) if raw else at, qd, command.qdd)
     tau = tau + plant.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
 
     judged = seen.b if config.observer == "ts" else residuals.q  # b is the cleaner one where there is one
     real = residual.torque(mass, decide.trusted(state.decide, seen.psi))
     thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, real, judged)  # line 6
-    decided, verdict = decide.step(config, gains, state.decide, s_tau, s_q, seen.y, seen.jump.h_s, qd)  # lines 8, 9
+    decided, verdict = decide.step(config, gains, state.decide, s_tau, s_q, seen, qd)  # lines 8, 9
 
     output = Output(
         tau=smooth.saturate(tau, chain.trailing_constant(robot.torque_limit, tau)),
         fault_tau_hat=residuals.tau,
-        fault_q_hat=seen.b,
+        fault_q_hat=seen.fault,
         residual_tau=residuals.tau,
         residual_q=residuals.q,
         statistic_tau=s_tau,
@@ -117,20 +114,35 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     return State(observer, thresholds, decided, pending, q, qd), output
 
 
-def _commanded(config: Config, pending: Pending, tau: Array) -> tuple[Array, Array]:
-    """Input of the ARX model and acceleration [n, ...] rad/s^2 of the last tick, for the torque that was really commanded.
+def _signals(config: Config, state: State, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
+    """Signals as arrays of the right shape; a joint whose reference is not finite is to hold the angle it has."""
+    q, qd, qdd = map(jnp.asarray, reference)
+    reading, tau = map(jnp.asarray, measurement)
+    names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
+    for name, signal in zip(names, (q, qd, qdd, reading, tau), strict=True):
+        checks.joints_first(name, signal, config.n)
+    checks.same_shape(["state.q", *names], [state.q, q, qd, qdd, reading, tau])
+    wanted = jnp.isfinite(q) & jnp.isfinite(qd) & jnp.isfinite(qdd)
+    held = Reference(jnp.where(wanted, q, state.q), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
+    return held, Measurement(reading, tau)
+
+
+def _commanded(config: Config, pending: Pending, tau: Array) -> tuple[Array, Array, Array]:
+    """Input of the ARX model, and accelerations [n, ...] rad/s^2 of the last tick without and with the estimated fault.
 
     The command was computed for ``pending.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
-    A torque that is not finite counts as the command itself.
+    A torque that is not finite counts as the command itself, within the limits. The psi of ``input="torque"`` stands for
+    all that a constant inertia leaves out, gravity first, which the nominal arm knows: it is no fault to believe in.
     """
-    tau = jnp.where(jnp.isfinite(tau), tau, pending.tau)
+    limit = chain.trailing_constant(config.robot.torque_limit, pending.tau)
+    tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(pending.tau, limit))
     rows = [chain.lanes(row) for row in chain.lanes(pending.mass)]
     qdd = pending.qdd + jnp.stack(chain.solve(rows, chain.lanes(tau - pending.tau)))
-    if config.input == "rigid_body":
-        return qdd + pending.psi, qdd
-    return tau + residual.torque(rows, pending.psi), qdd
+    if config.input == "torque":
+        return tau + residual.torque(rows, pending.psi), qdd, qdd
+    return qdd + pending.psi, qdd, qdd + pending.psi
 
 
 def _pack(mass: list[list[chain.Lane]], like: Array) -> Array:
     """N x n lanes as one array [n, n, ...]."""
-    return jnp.stack([jnp.stack([jnp.broadcast_to(m, like.shape[1:]).astype(like.dtype) for m in row]) for row in mass])
+    return jnp.stack([chain.stack(row, like) for row in mass])

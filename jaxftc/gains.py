@@ -72,7 +72,7 @@ class ObserverGains:
     )  # consequent of the sensor rule: share of a jump booked as fault
     alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator-and-sensor rule, Eq. (9)
     leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0)  # l, forgetting of the fuzzy estimate per tick
-    jump: Array = _gain("n", "rad", 8e-4, above=0.0)  # jump that is surely the encoder's; graded 1/2 at half of it
+    jump: Array = _gain("n", "rad", 1e-3, above=0.0)  # jump that is surely the encoder's; graded 1/2 at half of it
     tau_centres: Array = _gain("2", "1", (0.0, 1.0))  # sets "zero", "at threshold" of |residual_tau| / alpha_tau
     tau_widths: Array = _gain("2", "1", (0.25, 0.25), above=0.0)
     jump_centres: Array = _gain("2", "1", (0.0, 1.0))  # sets "zero", "at threshold" of |jump| / jump

@@ -19,7 +19,7 @@ VERDICTS = ("normal", "actuator", "sensor", "both")
 
 
 class Reference(NamedTuple):
-    """Desired motion at one tick."""
+    """Desired motion at one tick. A joint with a value that is not finite is to hold the angle it has."""
 
     q: Array  # [n, ...] rad
     qd: Array  # [n, ...] rad/s
@@ -27,7 +27,11 @@ class Reference(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """What the controller is told at one tick. A value that is not finite is held on prediction."""
+    """What the controller is told at one tick.
+
+    A reading that is not finite is replaced by the model's prediction, and after a few ticks called a sensor fault; a torque
+    that is not finite counts as the controller's own command.
+    """
 
     q: Array  # [n, ...] rad, encoder reading
     tau: Array  # [n, ...] N m, torque commanded in the last tick

@@ -257,7 +257,7 @@ def test_the_closed_loop_does_not_depend_on_the_engine(paper_arm):
     traces = {}
     for engine in ENGINES:
         config = jaxftc.Config(paper_arm, engine=engine)
-        four = jaxftc.trail(jaxftc.sample_scenarios(jax.random.key(0), len(CONDITIONS), config=config))
+        four = jaxftc.trail(jaxftc.sample_scenarios(jax.random.key(0), len(CONDITIONS), "paper", config=config))
         traces[engine] = jaxftc.simulate(config, jaxftc.default_gains(config), four, jax.random.key(1))
     mjx, own = traces["mjx"], traces["chain"]
     assert np.isfinite(mjx.q).all() and np.ptp(mjx.q, axis=0).min() > 0.5

@@ -14,6 +14,14 @@ from jaxftc import metrics
 from jaxftc.diagnosis import decide
 from jaxftc.faults.kinds import Sensor
 from jaxftc.faults.scenario import paper_scenario, trail
+from jaxftc.observer.adaptive import Jump
+from jaxftc.observer.cascade import Innovation
+
+
+def blank(n):
+    """An innovation in which nothing happens."""
+    none, no = jnp.zeros(n), jnp.zeros(n, bool)
+    return Innovation(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no)
 
 
 def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0):
@@ -23,14 +31,29 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0):
     zero = np.zeros((ticks, n))
     s_q, h_s = zero if s_q is None else s_q, zero if h_s is None else h_s
     y = np.cumsum(np.full((ticks, n), 1e-3), 0) if y is None else y
+    seen = blank(n)
     state, verdicts = decide.init(jnp.asarray(y[0]) - 1e-3), []
     for k in range(ticks):
-        state, verdict = decide.step(
-            config, gains, state, jnp.asarray(s_tau[k]) * gains.diagnosis.alpha_tau, jnp.asarray(s_q[k]) * gains.diagnosis.alpha_q,
-            jnp.asarray(y[k]), jnp.asarray(h_s[k]), jnp.full(n, float(speed)),
-        )  # fmt: skip
+        now = seen._replace(
+            y=jnp.asarray(y[k]),
+            jump=seen.jump._replace(h_s=jnp.abs(h_s[k]), side=jnp.sign(h_s[k])),
+            absent=jnp.isnan(y[k]),
+            missing=jnp.isnan(y[k]),
+        )
+        state, verdict = _decide(
+            config,
+            gains,
+            state,
+            s_tau[k] * gains.diagnosis.alpha_tau,
+            s_q[k] * gains.diagnosis.alpha_q,
+            now,
+            jnp.full(n, float(speed)),
+        )
         verdicts.append(np.asarray(verdict))
     return np.array(verdicts)
+
+
+_decide = jaxftc.jit(decide.step, static_argnums=0)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +66,8 @@ def two():
         compile_robot(
             "two",
             (
-                f'<mujoco><worldbody><body><joint axis="0 1 0"/>{inertial}<body pos="0 0 .3"><joint axis="0 1 0"/>{inertial}</body></body>'
+                f'<mujoco><worldbody><body><joint axis="0 1 0"/>{inertial}'
+                f'<body pos="0 0 .3"><joint axis="0 1 0"/>{inertial}</body></body>'
                 "</worldbody></mujoco>"
             ),
         )
@@ -103,11 +127,39 @@ def test_equal_readings_are_a_freeze_only_while_the_arm_moves(two):
     assert (resting[26:30] == 0).all() and (resting[40:, 0] == 1).all()  # an encoder at rest repeats itself
 
 
+def test_readings_that_do_not_come_are_a_sensor_fault_even_at_rest(two):
+    y = np.cumsum(np.full((60, 2), 1e-3), 0)
+    y[20:24, 0] = np.nan  # a glitch
+    y[40:, 0] = np.nan
+    verdict = judge(two, np.zeros((60, 2)), y=y, speed=0.0)
+    assert (verdict[:44] == 0).all() and (verdict[44:, 0] == 2).all() and (verdict[:, 1] == 0).all()
+
+
+def test_a_kick_is_forgotten_when_all_has_been_quiet(two):
+    verdict = judge(two, pulse(700, 10, 40, size=8.0))
+    assert (verdict[60:500, 0] == 2).all() and (verdict[560:, 0] == 0).all()
+    again = judge(two, pulse(800, 10, 40, size=8.0) + pulse(800, 650, 800))
+    assert (again[660:, 0] == 1).all()  # an actuator fault is not hidden by it for ever
+
+
 def test_many_jumps_are_noise(two):
     h = np.zeros((60, 2))
     h[10:40:2, 0] = 1.0
     verdict = judge(two, np.zeros((60, 2)), h_s=h)
     assert (verdict[:24, 0] == 0).all() and (verdict[30:50, 0] == 2).all() and (verdict[:, 1] == 0).all()
+
+
+def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
+    h = np.zeros((40, 2))
+    h[10:40, 0], h[10:40, 1] = 1.0, np.resize([1.0, -1.0], 30)
+    gains, state = jaxftc.default_gains(two), decide.init(jnp.zeros(2))
+    for k in range(40):
+        jump = Jump(jnp.abs(h[k]), jnp.sign(h[k]), jnp.zeros(2), jnp.zeros(2))
+        state, _ = _decide(
+            two, gains, state, jnp.zeros(2), jnp.zeros(2), blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump), jnp.ones(2)
+        )
+    np.testing.assert_array_equal(state.doubt.noisy, [0, 1])
+    np.testing.assert_array_equal(state.doubt.suspect, [1, 1])
 
 
 @given(st.lists(st.floats(-3, 3), min_size=30, max_size=60), st.floats(1.0, 3.0))

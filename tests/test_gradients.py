@@ -46,17 +46,15 @@ class Case(NamedTuple):
         return jaxftc.Config(jaxftc.puma560(), duration=TICKS * 1e-3, **structure)
 
 
+PLAIN = FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
 FULL = Case("chain", "ts", "afesmc", frozenset({"control.alpha_sm"}))
+SMC = Case("chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
 CASES = {
     "chain-ts-afesmc": FULL,
     "mjx-ts-afesmc": FULL._replace(engine="mjx"),
-    "chain-eso-smc": Case("chain", "eso", "smc", frozenset(FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm2"})),
-}
-SLOW_CASES = {
-    "chain-pi-esmc": Case(
-        "chain", "pi", "esmc", frozenset(FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING | {"control.alpha_sm"})
-    ),
-    "mjx-eso-smc": CASES["chain-eso-smc"]._replace(engine="mjx"),
+    "chain-pi-smc": SMC,
+    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
+    "mjx-pi-smc": SMC._replace(engine="mjx"),
 }
 
 
@@ -75,9 +73,15 @@ def faulty(config: jaxftc.Config) -> jaxftc.Scenario:
     """Both faults on all joints, with encoder noise; each stays."""
     both = jaxftc.paper_scenario("both", config, angle=JUMP)
     at = lambda tick: {"onset": jnp.full(N, tick * config.dt - 1e-6), "clear": jnp.full(N, jnp.inf)}  # noqa: E731
-    return both._replace(
-        fault_tau=both.fault_tau._replace(**at(ACTUATOR_AT)), fault_q=both.fault_q._replace(**at(SENSOR_AT))
-    )
+    faults = {
+        name: getattr(both, name)._replace(**at(t)) for name, t in (("fault_tau", ACTUATOR_AT), ("fault_q", SENSOR_AT))
+    }
+    return strong(both._replace(**faults))
+
+
+def strong(scenario: jaxftc.Scenario) -> jaxftc.Scenario:
+    """Without JAX's weak types, so that one program serves every scenario."""
+    return jax.tree.map(np.asarray, scenario)
 
 
 class Programs(NamedTuple):
@@ -121,43 +125,63 @@ def length(run: Programs) -> int:
     return max(part.stop for part in run.slices.values())
 
 
-@pytest.fixture(
-    scope="module",
-    params=[
-        *(pytest.param(case, id=name) for name, case in CASES.items()),
-        *(pytest.param(case, id=name, marks=pytest.mark.slow) for name, case in SLOW_CASES.items()),
-    ],
-)
-def case(request) -> Case:
-    return request.param
+def put(run: Programs, name: str, leaf: np.ndarray) -> np.ndarray:
+    """A vector of all gains that is zero but for one of them."""
+    vector = np.zeros(length(run))
+    vector[run.slices[name]] = leaf
+    return vector
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_slope_in_each_gain_is_that_of_finite_differences(case, name):
-    """Forward and reverse, one gain at a time in a random direction: a small slope cannot hide behind a large one."""
+def each_gain(*, slow: tuple[str, ...]):
+    """Every gain that a case has; what takes longest to compile is a slow test."""
+
+    def decorate(test):
+        cases = [pytest.param(case, id=name, marks=[pytest.mark.slow] * (name in slow)) for name, case in CASES.items()]
+        return pytest.mark.parametrize("case", cases)(pytest.mark.parametrize("name", NAMES)(test))
+
+    return decorate
+
+
+# One gain at a time, in a random direction: a small slope cannot hide behind a large one.
+TOLERANCE = {"rtol": 1e-4, "atol": 1e-9, "eps": 1e-4}
+
+
+@each_gain(slow=("chain-eso-esmc", "mjx-pi-smc"))
+def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
-    part, zero = run.slices[name], np.zeros(length(run))
+    part = run.slices[name]
 
-    def put(leaf):
-        vector = zero.copy()
-        vector[part] = leaf
-        return vector
-
-    def along(primals, tangents):
-        return run.push(put(*primals), put(*tangents), scenario)
+    def value(leaf):
+        return run.value(put(run, name, leaf), scenario)
 
     def backward(leaf):
-        slope = np.asarray(run.slope(put(leaf), scenario))[part]
-        return run.value(put(leaf), scenario), lambda weight: (weight * slope,)
+        slope = np.asarray(run.slope(put(run, name, leaf), scenario))[part]
+        return value(leaf), lambda weight: (weight * slope,)
 
+    slope = np.asarray(run.slope(np.zeros(length(run)), scenario))[part]
     if name in case.idle:
-        assert not np.any(run.slope(zero, scenario)[part])
+        assert not np.any(slope)
         return
-    here = (zero[part],)
-    assert np.abs(run.slope(zero, scenario)[part]).max() > 1e-4, "a gain that does next to nothing is not tested here"
-    tolerance = {"rtol": 1e-4, "atol": 1e-9, "eps": 1e-4}
-    check_jvp(lambda leaf: run.value(put(leaf), scenario), along, here, **tolerance)
-    check_vjp(lambda leaf: run.value(put(leaf), scenario), backward, here, **tolerance)
+    assert np.abs(slope).max() > 1e-4, "a gain that does next to nothing is not tested here"
+    check_vjp(value, backward, (np.zeros(slope.size),), **TOLERANCE)
+
+
+@each_gain(slow=("chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
+def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
+    run, scenario = programs(case), faulty(case.config())
+    part = run.slices[name]
+
+    def value(leaf):
+        return run.value(put(run, name, leaf), scenario)
+
+    def along(primals, tangents):
+        return run.push(put(run, name, *primals), put(run, name, *tangents), scenario)
+
+    zero = np.zeros(part.stop - part.start)
+    if name in case.idle:
+        assert float(along((zero,), (zero + 1.0,))[1]) == 0.0
+        return
+    check_jvp(value, along, (zero,), **TOLERANCE)
 
 
 def test_both_engines_have_the_same_gradient():

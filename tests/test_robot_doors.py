@@ -389,7 +389,7 @@ def test_simulate_refuses(config, path, value, text):
 
 
 def test_simulate_refuses_scenarios_on_a_leading_axis(config):
-    sampled = jaxftc.sample_scenarios(jax.random.key(0), 4, config=config)
+    sampled = jaxftc.sample_scenarios(jax.random.key(0), 4, "paper", config=config)
     with refuses("sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"):
         jaxftc.simulate(config, jaxftc.default_gains(config), sampled, jax.random.key(0))
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -94,6 +93,8 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     x = np.stack([twin_laguerre.rest_state(a, b_y, [q])[0] for q in q0])
     zero = np.zeros(6)
     mine = {"b": zero, "e_prev": zero, "psi_pi": zero, "g": zero, "psi_f": zero}
+    history = (q0, q0, zero)
+    believed = cascade.Doubt(*[jnp.zeros(6)] * 4)
     for k in range(60):
         y = (
             q0
@@ -109,18 +110,20 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
             alpha_f1=o.alpha_f1[0], alpha_f2=o.alpha_f2[0], alpha_f3=o.alpha_f3[0], leak=o.leak[0], jump_limit=o.jump[0],
             threshold_tau=gains.diagnosis.alpha_tau[0], centres_tau=o.tau_centres, widths_tau=o.tau_widths,
             centres_jump=o.jump_centres, widths_jump=o.jump_widths, observer=observer, eps=None if hard else o.eps[0],
+            history=history,
         )  # fmt: skip
-        state, seen = cascade.explain(config, gains, state, jnp.asarray(y))
+        state, seen = cascade.explain(config, gains, state, jnp.asarray(y), jnp.asarray(history[2]), believed)
         residual = mass @ np.asarray(seen.psi)
         state = cascade.adapt(config, gains, state, seen, jnp.asarray(residual))
         state = cascade.drive(gains, state, jnp.asarray(v) + seen.psi)
         close = {
-            "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual, "b_next": seen.b,
-            "h_s": seen.jump.h_s, "psi_pi_next": state.pi.psi, "g_next": state.sliding.gamma,
+            "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual,
+            "b_next": seen.b, "h_s": seen.jump.h_s, "psi_pi_next": state.pi.psi, "g_next": state.sliding.gamma,
             "psi_f_next": state.adaptive.psi, "x_next": jnp.concatenate([state.arx.x_a, state.arx.x_b], axis=1),
         }  # fmt: skip
         for name, value in close.items():
             np.testing.assert_allclose(value, want[name], rtol=1e-7, atol=1e-9, err_msg=f"{name} at tick {k}")
+        history = (want["q_hat"], history[0], v + want["psi"])
         x, mine = (
             want["x_next"],
             {
@@ -234,7 +237,8 @@ def test_stability_is_that_of_the_twins_error_matrix(paper_arm):
     a, b_y, b_v = twin_laguerre.block(0.8, 3, 0.8, 2)
     radii = [
         twin_laguerre.spectral_radius(twin_laguerre.error_matrix(
-            a, b_y, b_v, twin_laguerre.exact_kappa(0.8, DT), float(o.alpha_p[0]), float(o.alpha_i[0]), alpha_f, float(o.leak[0])))
+            a, b_y, b_v, twin_laguerre.exact_kappa(0.8, DT), float(o.alpha_p[0]), float(o.alpha_i[0]), alpha_f,
+            float(o.leak[0])))
         for alpha_f in (0.0, float(o.alpha_f1[0]))
     ]  # fmt: skip
     ours = stability.spectral_radius(config, gains)
@@ -264,9 +268,9 @@ def test_zero_gains_leave_the_open_model(config):
         alpha_p=jnp.full(6, 1e-300),
     )
     gains = dataclasses.replace(gains, observer=o)
-    state = cascade.init(config, gains, jnp.ones(6))
+    state, calm = cascade.init(config, gains, jnp.ones(6)), cascade.Doubt(*[jnp.zeros(6)] * 4)
     for _ in range(5):
-        state, seen = cascade.explain(config, gains, state, jnp.full(6, 1.3))
+        state, seen = cascade.explain(config, gains, state, jnp.full(6, 1.3), jnp.zeros(6), calm)
         state = cascade.adapt(config, gains, state, seen, jnp.zeros(6))
         state = cascade.drive(gains, state, seen.psi)
         np.testing.assert_allclose(seen.y_hat, 1.0, atol=1e-9)

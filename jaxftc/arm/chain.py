@@ -23,6 +23,11 @@ Vector = tuple[Lane, Lane, Lane]
 ZERO: Vector = (0.0, 0.0, 0.0)
 
 
+def stack(values: list[Lane], like: Array) -> Array:
+    """Lanes as one array in the shape and precision of ``like`` [n, ...]; a lane may be a plain number."""
+    return jnp.stack([jnp.broadcast_to(jnp.asarray(v, like.dtype), like.shape[1:]) for v in values])
+
+
 class Inertia(NamedTuple):
     """Spatial inertia about a hinge's origin, in the hinge's frame."""
 

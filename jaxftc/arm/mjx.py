@@ -65,7 +65,8 @@ def _one_arm(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array) -> 
         body_inertia=scale[:, None] * model.body_inertia,
     )
     data = data.replace(qpos=q, qvel=qd)
-    for stage in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
-        data = stage(model, data)
-    matrix = mjx.full_m(model, data)
-    return matrix - jnp.diag(jnp.asarray(model.dof_armature)), data.qfrc_bias
+    with jax.default_matmul_precision("highest"):  # float32 on a GPU would be TF32 otherwise
+        for stage in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.com_vel, mjx.rne):
+            data = stage(model, data)
+        matrix = mjx.full_m(model, data)
+    return (matrix - jnp.diag(jnp.asarray(model.dof_armature))).astype(q.dtype), data.qfrc_bias.astype(q.dtype)

@@ -64,7 +64,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
         at = chain.pose(robot, q)
         inertias = chain.scaled_inertias(robot, plant.mass, plant.payload)
         rows = chain.mass_matrix(robot, inertias, at)
-        drive = drive - jnp.stack(chain.newton_euler(robot, inertias, at, chain.lanes(qd), None))
+        drive = drive - chain.stack(chain.newton_euler(robot, inertias, at, chain.lanes(qd), None), drive)
     for i, diagonal in enumerate(chain.lanes(armature + dt * damping)):
         rows[i][i] = rows[i][i] + diagonal
     return jnp.stack(chain.solve(rows, chain.lanes(drive)))
@@ -99,7 +99,7 @@ def nominal_torque(robot: Robot, at: chain.Pose, qd: Array, qdd: Array) -> Array
     """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
     links = chain.newton_euler(robot, chain.nominal_inertias(robot), at, chain.lanes(qd), chain.lanes(qdd))
     motor = chain.trailing_constant(robot.armature, qdd) * qdd + chain.trailing_constant(robot.damping, qd) * qd
-    return jnp.stack([jnp.broadcast_to(t, qdd.shape[1:]) for t in links]) + motor
+    return chain.stack(links, motor) + motor
 
 
 def nominal_mass(robot: Robot, at: chain.Pose) -> list[list[chain.Lane]]:
@@ -116,7 +116,9 @@ def _align(plant: Plant, axes: int) -> Plant:
 
 
 def _arrays(robot: Robot, **values: Array) -> list[Array]:
-    for name, value in values.items():
+    arrays = [jnp.asarray(value) for value in values.values()]
+    for name, value in zip(values, arrays, strict=True):
         checks.joints_first(name, value, robot.n)
-    dtype = jnp.result_type(*values.values(), np.float32)
-    return [jnp.asarray(value, dtype) for value in values.values()]
+    checks.same_shape(list(values), arrays)
+    dtype = jnp.result_type(*arrays, np.float32)
+    return [value.astype(dtype) for value in arrays]

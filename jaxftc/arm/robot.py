@@ -99,12 +99,13 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
     body_link = _serial_order(name, model)
     links, payload_link = _links(model, body_link)
     positive, negative = _coulomb(model)
-    constants = (model.body_mass, model.body_inertia, model.dof_armature, model.dof_damping, positive, negative)
-    text = spec.to_xml()
-    digest = hashlib.sha256(text.encode() + b"".join(np.asarray(c).tobytes() for c in constants))
+    limit = _torque_limit(model)
+    constants = [model.qpos0, model.opt.gravity, model.dof_armature, model.dof_damping, positive, negative, limit]
+    constants += [getattr(link, f.name) for link in (*links, payload_link) for f in dataclasses.fields(Link)]
+    digest = hashlib.sha256(repr([np.round(np.ravel(c), 9).tolist() for c in constants]).encode())
     return Robot(
         name=name,
-        mjcf=text,
+        mjcf=spec.to_xml(),
         mj_model=model,
         joint_names=tuple(model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)),
         links=links,
@@ -117,7 +118,7 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
         coulomb_positive=positive,
         coulomb_negative=negative,
         coulomb_speed=0.05,
-        torque_limit=_torque_limit(model),
+        torque_limit=limit,
         fingerprint=digest.hexdigest()[:16],
     )
 
@@ -133,6 +134,10 @@ def _add_payload(spec: mujoco.MjSpec, name: str) -> None:
 
 def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
     """Hinge index per body; refuses anything but one chain of hinges."""
+    if np.any(model.jnt_stiffness) or np.any(model.body_gravcomp):
+        raise ValueError(
+            f"{name}: joint stiffness and gravcomp are not modelled here; remove them, or add their torque to the command"
+        )
     for j in range(model.njnt):
         if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
             kind = mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower()
@@ -200,14 +205,23 @@ def _coulomb(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _torque_limit(model: mujoco.MjModel) -> np.ndarray:
-    """Largest torque per joint from the joint's own range or its motors; infinite where none is given."""
+    """Largest torque per joint from the joint's own force range and its actuators'; infinite where none is given.
+
+    An actuator's force range counts, and for a plain motor its control range too (of a servo that is an angle). Of an
+    asymmetric range the smaller side counts.
+    """
     limit = np.full(model.njnt, np.inf)
     for j in range(model.njnt):
         if model.jnt_actfrclimited[j]:
-            limit[j] = np.abs(model.jnt_actfrcrange[j]).max()
+            limit[j] = np.abs(model.jnt_actfrcrange[j]).min()
     for a in range(model.nu):
-        j = int(model.actuator_trnid[a, 0])
-        if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_ctrllimited[a]:
-            gear = abs(model.actuator_gear[a, 0] * model.actuator_gainprm[a, 0])
-            limit[j] = min(limit[j], gear * np.abs(model.actuator_ctrlrange[a]).max())
+        if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
+            continue
+        j, gear = int(model.actuator_trnid[a, 0]), abs(model.actuator_gear[a, 0])
+        is_motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
+        if model.actuator_forcelimited[a]:
+            limit[j] = min(limit[j], gear * np.abs(model.actuator_forcerange[a]).min())
+        if model.actuator_ctrllimited[a] and is_motor:
+            gain = gear * abs(model.actuator_gainprm[a, 0])
+            limit[j] = min(limit[j], gain * np.abs(model.actuator_ctrlrange[a]).min())
     return limit

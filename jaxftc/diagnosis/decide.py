@@ -7,8 +7,8 @@ takes them for what they are:
 * **kick**: the onset of a drift changes the reading's speed, which looks like a torque until the observer has settled, and
   then like nothing. A torque that is really there stays. A torque statistic that falls to a third of its peak (or below the
   release level) within ``config.kick_ticks`` of the alarm was a kick;
-* **freeze**: equal readings while the arm was moving by more than a jump's worth since the last change;
-* **noise**: many jumps in a tenth of a second; a fast drift jumps at every tick and is caught here too.
+* **freeze**: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all;
+* **noise** or a steep drift: many jumps in a tenth of a second, to and fro or one way.
 
 A reading found out in this way explains the torque residual of its joint, so the actuator bit of that joint is off; and the
 acceleration it feigned is kept out of the other joints' residuals (``trusted``). Of several kicks at once only the largest
@@ -28,12 +28,14 @@ import jax.numpy as jnp
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.observer.cascade import Doubt, Innovation
 from jaxftc.types import Array
 
 RELEASE = 0.7  # share of the threshold below which an alarm ends
 KICK = 0.35  # share of its peak to which a kick has fallen
 FROZEN_READINGS = 5
-NOISY_JUMPS = 8.0
+MANY_JUMPS = 8.0
+KICK_MEMORY = 500  # ticks without an alarm after which a kick is forgotten
 JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
 
 
@@ -46,51 +48,61 @@ class State(NamedTuple):
     q_run: Array
     age: Array  # ticks since the torque alarm rose
     peak: Array  # N m, largest |S| of the torque channel in this alarm
-    kicked: Array  # 1 once an alarm was found to be a kick, until the encoder alarm has spoken for itself
-    jumps: Array  # leaky count of booked jumps
+    kicked: Array  # 1 once an alarm was found to be a kick, until all has been quiet for KICK_MEMORY
+    quiet: Array  # ticks since an alarm was up
+    jumps: Array  # leaky count of jumps
+    lean: Array  # the same, jumps down counted negative
     y: Array  # rad, last reading
-    equal: Array  # readings in a row that did not change
+    equal: Array  # readings in a row that did not change or did not come
     speed: Array  # rad/s, when the reading last changed
-    suspect: Array  # 1 while the second look holds the reading to be wrong
+    doubt: Doubt  # what the second look holds of the readings
 
 
 def init(q: Array) -> State:
     """No alarm."""
     zero = jnp.zeros_like(q)
-    return State(zero, zero, zero, zero, zero, zero, zero, zero, q, zero, zero, zero)
+    return State(*[zero] * 10, y=q, equal=zero, speed=zero, doubt=Doubt(zero, zero, zero, zero))
 
 
 def trusted(state: State, psi: Array) -> Array:
     """Fault estimate psi [n, ...] rad/s^2 without the joints whose reading is held to be wrong."""
-    return psi * (1 - state.suspect)
+    return psi * (1 - state.doubt.suspect)
 
 
 def step(
-    config: Config, gains: Gains, state: State, s_tau: Array, s_q: Array, y: Array, h_s: Array, qd_hat: Array
+    config: Config, gains: Gains, state: State, s_tau: Array, s_q: Array, seen: Innovation, qd_hat: Array
 ) -> tuple[State, Array]:
-    """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad; y rad, h_s and qd_hat rad/s feed the second look."""
-    s_tau, s_q, y, h_s, qd_hat = jax.lax.stop_gradient((s_tau, s_q, y, h_s, qd_hat))
+    """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad; the reading and qd_hat rad/s feed the second look."""
+    s_tau, s_q, seen, qd_hat = jax.lax.stop_gradient((s_tau, s_q, seen, qd_hat))
     level = jax.lax.stop_gradient(gains.diagnosis)
     tau_on, tau_run = _alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
     q_on, q_run = _alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
+
     alarmed = (state.tau_on > 0) | (tau_on > 0)
     age = jnp.where(alarmed, state.age + 1, 0.0)
     peak = jnp.where(alarmed, jnp.maximum(state.peak, jnp.abs(s_tau)), 0.0)
     fallen = (tau_on == 0) | (jnp.abs(s_tau) < KICK * peak)
     excess = peak / level.alpha_tau
     kick = (state.tau_on > 0) & (age < config.kick_ticks) & fallen & (excess >= excess.max(0))
-    kicked = jnp.where(kick, 1.0, jnp.where(q_on > 0, 0.0, state.kicked))
-    jumps = JUMP_MEMORY * state.jumps + h_s
-    unchanged = y == state.y
+    quiet = jnp.where((tau_on > 0) | (q_on > 0), 0.0, state.quiet + 1)
+    kicked = jnp.where(kick, 1.0, jnp.where(quiet >= KICK_MEMORY, 0.0, state.kicked))
+
+    jumps = JUMP_MEMORY * state.jumps + seen.jump.h_s
+    lean = JUMP_MEMORY * state.lean + seen.jump.h_s * seen.jump.side
+    unchanged = seen.missing | (seen.y == state.y)
     equal = jnp.where(unchanged, state.equal + 1, 0.0)
     speed = jnp.where(unchanged, state.speed, qd_hat)
-    moved = equal * config.dt * jnp.abs(speed)
-    frozen = (equal >= FROZEN_READINGS) & (moved > jax.lax.stop_gradient(gains.observer.jump))
-    suspect = frozen | (jumps >= NOISY_JUMPS) | (kicked > 0)
+    moved = equal * config.dt * jnp.abs(speed) > jax.lax.stop_gradient(gains.observer.jump)
+    frozen = (equal >= FROZEN_READINGS) & (moved | seen.absent)
+
+    many = jumps >= MANY_JUMPS
+    noisy = many & (jnp.abs(lean) < 0.5 * jumps)  # a steep drift jumps one way
+    suspect = frozen | many | (kicked > 0)
     sensor = (q_on > 0) | suspect
     actuator = (tau_on > 0) & ~suspect
     verdict = actuator.astype(jnp.int32) + 2 * sensor.astype(jnp.int32)  # Eq. (18)
-    return State(tau_on, tau_run, q_on, q_run, age, peak, kicked, jumps, y, equal, speed, suspect.astype(y.dtype)), verdict
+    doubt = Doubt(*(flag.astype(s_tau.dtype) for flag in (suspect, kicked > 0, frozen, noisy)))
+    return State(tau_on, tau_run, q_on, q_run, age, peak, kicked, quiet, jumps, lean, seen.y, equal, speed, doubt), verdict
 
 
 def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, fall: int) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc import arx
+from jaxftc import arx, laguerre
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.observer import adaptive, pi, super_twisting
@@ -18,27 +18,43 @@ from jaxftc.types import Array
 
 
 class State(NamedTuple):
-    """Model, stages and the last innovation."""
+    """Model, stages and the readings that a jump is told by."""
 
     arx: arx.State
     pi: pi.State
     sliding: super_twisting.State
     adaptive: adaptive.State
     e: Array  # [n, ...] rad, innovation of the last tick, its jump taken out
-    held: Array  # [n, ...] 1 where the last reading was missing, else 0
+    q1: Array  # [n, ...] rad, q_hat one tick ago
+    q2: Array  # [n, ...] rad, q_hat two ticks ago
+    reading: Array  # [n, ...] rad, last finite reading
+    b_fresh: Array  # [n, ...] rad, encoder fault when the reading last changed
+    held: Array  # [n, ...] 1 where the last reading was not used, else 0
+
+
+class Doubt(NamedTuple):
+    """What the second look held of each reading one tick ago."""
+
+    suspect: Array  # [n, ...] 1 where the reading is held to be wrong, for any of the reasons below or a steep drift
+    kicked: Array  # [n, ...] 1 where its speed was found to be wrong
+    frozen: Array  # [n, ...] 1 where it is held to be frozen
+    noisy: Array  # [n, ...] 1 where it is held to be noisy
 
 
 class Innovation(NamedTuple):
-    """First half of a tick: what the reading says before the fault is explained."""
+    """First half of a tick: what the reading says."""
 
-    y: Array  # [n, ...] rad, reading, predicted where it was missing
+    y: Array  # [n, ...] rad, reading, predicted where it was not used
     y_hat: Array  # [n, ...] rad, model
     e: Array  # [n, ...] rad, innovation, its jump taken out
     jump: adaptive.Jump
+    shift: Array  # [n, ...] rad, by which the model was moved to meet the reading
     b: Array  # [n, ...] rad, encoder fault, this tick's jump included
     q_hat: Array  # [n, ...] rad, reading less its fault
+    fault: Array  # [n, ...] rad, encoder fault: b, or what a frozen reading is off by
     psi: Array  # [n, ...] rad/s^2, actuator fault, Eq. (15)
-    missing: Array  # [n, ...] bool, the reading was not finite
+    missing: Array  # [n, ...] bool, the reading was not used
+    absent: Array  # [n, ...] bool, there was no finite reading
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -50,25 +66,42 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         sliding=super_twisting.State(zero),
         adaptive=adaptive.State(zero, zero),
         e=zero,
+        q1=q,
+        q2=q,
+        reading=q,
+        b_fresh=zero,
         held=zero,
     )
 
 
-def explain(config: Config, gains: Gains, state: State, reading: Array) -> tuple[State, Innovation]:
+def explain(
+    config: Config, gains: Gains, state: State, reading: Array, expected: Array, doubt: Doubt
+) -> tuple[State, Innovation]:
     """Innovation and fault estimates of this tick from a reading [n, ...] rad.
 
-    A reading that is not finite gives no innovation: the model's prediction takes its place, and no jump is booked when
-    readings come back, because the model has been on its own since.
+    ``expected`` [n, ...] rad/s^2 is the acceleration that command and fault estimate stand for. A jump is what it leaves
+    unexplained of the second difference of the corrected reading. (The change of the innovation is no test: it is also the
+    observer's own correction of a large innovation, and booking that as encoder fault runs away.) The model takes the place
+    of a reading that is absent or frozen, and moves to the reading that comes back; it also follows the jumps of a reading
+    that is already held to be wrong.
     """
-    y_hat, b = arx.predict(gains.arx, state.arx), state.adaptive.b
-    missing = ~jnp.isfinite(reading)
+    y_hat = arx.predict(gains.arx, state.arx)
+    stuck = (doubt.frozen > 0) & (reading == state.reading)
+    absent = ~jnp.isfinite(reading)
+    missing = absent | stuck
+    back = ~missing & (state.held > 0)
+    b = jnp.where(stuck, state.b_fresh, state.adaptive.b)
     y = jnp.where(missing, y_hat + b, reading)
     e = y - b - y_hat
     if config.observer == "ts":
-        jump = adaptive.book_jump(gains.observer, jnp.where(missing | (state.held > 0), 0.0, e - state.e))
+        strange = y - b - 2 * state.q1 + state.q2 - config.dt**2 * expected
+        strange = jnp.where(missing | back, 0.0, strange)
+        jump = adaptive.judge(gains.observer, strange, e - state.e, b, doubt.kicked, doubt.noisy)
     else:
-        jump = adaptive.Jump(jnp.zeros_like(e), jnp.zeros_like(e))
-    e, b = e - jump.moved, b + jump.moved
+        jump = adaptive.Jump(*[jnp.zeros_like(e)] * 4)
+    shift = jnp.where(back, e, jump.followed)
+    x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]  # H_y(1) = 1: y_hat moves by shift
+    y_hat, e, b = y_hat + shift, e - shift - jump.moved, b + jump.moved
     pi_next, psi = pi.step(gains.observer, state.pi, e)
     sliding_next = state.sliding
     if config.observer != "pi":
@@ -78,8 +111,22 @@ def explain(config: Config, gains: Gains, state: State, reading: Array) -> tuple
         psi = psi + psi_sm  # Eq. (15)
     if config.observer == "ts":
         psi = psi + state.adaptive.psi  # Eq. (15)
-    info = Innovation(y, y_hat, e, jump, b, y - b, psi, missing)
-    return state._replace(pi=pi_next, sliding=sliding_next, e=e, held=missing.astype(e.dtype)), info
+    q_hat = y - b
+    fault = jnp.where(stuck, reading - q_hat, b)
+    info = Innovation(y, y_hat, e, jump, shift, b, q_hat, fault, psi, missing, absent)
+    changed = ~missing & (reading != state.reading)
+    return State(
+        arx=state.arx._replace(x_a=x_a),
+        pi=pi_next,
+        sliding=sliding_next,
+        adaptive=state.adaptive._replace(b=b),
+        e=e,
+        q1=q_hat,
+        q2=state.q1 + shift,
+        reading=jnp.where(absent, state.reading, reading),
+        b_fresh=jnp.where(changed, b, state.b_fresh),
+        held=missing.astype(e.dtype),
+    ), info
 
 
 def adapt(config: Config, gains: Gains, state: State, info: Innovation, residual_tau: Array) -> State:
@@ -92,11 +139,11 @@ def adapt(config: Config, gains: Gains, state: State, info: Innovation, residual
     if config.observer == "ts":
         fuzzy = adaptive.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
     corrected = info.y_hat + gains.observer.alpha_p * info.e  # Eq. (6)
-    x_a = arx.laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)
+    x_a = laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)
     return state._replace(adaptive=fuzzy, arx=state.arx._replace(x_a=x_a))
 
 
 def drive(gains: Gains, state: State, u: Array) -> State:
     """Let the input u [n, ...] of the last tick into the input's bank: v + psi, or tau + M psi for the torque form."""
-    x_b = arx.laguerre.advance(gains.arx.xi_b, state.arx.x_b, u)
+    x_b = laguerre.advance(gains.arx.xi_b, state.arx.x_b, u)
     return state._replace(arx=state.arx._replace(x_b=x_b))

@@ -99,10 +99,13 @@ def tick(
     widths_jump: Array = (0.3, 0.3),
     observer: str = "ts",
     eps: float | None = None,
+    history: tuple[Array, Array, Array] | None = None,
 ) -> dict[str, Array]:
     """One tick for all joints; returns every quantity by name.
 
     Signals [n]: y rad encoder; b rad estimated encoder fault; e_prev rad last innovation (after the sensor rule);
+    history = (q1, q2, u_prev): corrected readings rad of the last two ticks, v + psi rad/s^2 of the last. Without it
+    the change of the innovation stands for the jump, which serves only while the innovation is small;
     psi_pi, g, psi_f, v rad/s^2; x [n, N] bank states. kappa [N] or [n, N]; mass [n, n] kg m^2 at q_hat.
     Gains, per tick: alpha_p 1; alpha_i, alpha_f1, alpha_f3 s^-2; alpha_f2 1 (share of the jump that b takes, times
     h_s); alpha_sm rad^.5/s^2; alpha_sm0 rad/s^3; leak 1; jump_limit J rad; threshold_tau N m; eps rad.
@@ -116,9 +119,13 @@ def tick(
     y_hat = np.array([kappa[j] @ x[j] for j in range(n)])  # Eq. (6)
     e_raw = y - b - y_hat
     jump = e_raw - e_prev
+    strange = jump
+    if history is not None:
+        q1, q2, u_prev = history
+        strange = y - b - 2 * q1 + q2 - dt**2 * u_prev  # what no acceleration explains of the second difference
 
     # The sensor rule comes first: only an encoder can jump within one sample.
-    h_s = sensor_grade(np.abs(jump) / jump_limit, centres_jump, widths_jump) if with_fuzzy else np.zeros(n)
+    h_s = sensor_grade(np.abs(strange) / jump_limit, centres_jump, widths_jump) if with_fuzzy else np.zeros(n)
     b_next = b + alpha_f2 * h_s * jump
     e = e_raw - alpha_f2 * h_s * jump
     q_hat = y - b_next
@@ -136,7 +143,7 @@ def tick(
     if with_fuzzy:
         h_normal, h_act, h_sensor, h_both = rule_weights(
             np.abs(residual_tau) / threshold_tau,
-            np.abs(jump) / jump_limit,
+            np.abs(strange) / jump_limit,
             centres_tau,
             widths_tau,
             centres_jump,
