@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 from collections.abc import Sequence
 
 import jax
@@ -22,20 +23,20 @@ def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
 
 def integer(name: str, value: object, low: int, why: str) -> None:
     """Refuse anything but an integer of at least ``low``."""
-    if not isinstance(value, int) or isinstance(value, bool) or value < low:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < low:
         raise ValueError(f"{name} must be an integer of at least {low}, got {value!r}; {why}")
 
 
 def positive(name: str, value: float, unit: str) -> None:
     """Refuse a number that is not finite and above zero."""
-    if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+    if not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):
         raise ValueError(f"{name} must be a positive, finite number of {unit}, got {value!r}")
 
 
 def multiple(name: str, value: float, dt: float) -> int:
     """Return value / dt as an integer, or refuse: times are never rounded silently."""
     ticks = round(value / dt)
-    if abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
+    if ticks < 1 or abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
         raise ValueError(
             f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {max(ticks, 1) * dt:g} s"
         )

@@ -9,13 +9,15 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
-from jaxftc import checks, controller, reference, smooth
+from jaxftc import controller, reference, smooth
 from jaxftc.arm import chain, plant
 from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.faults import inject
-from jaxftc.faults.kinds import Fault
+from jaxftc.faults.kinds import Actuator, Fault, Sensor
 from jaxftc.faults.scenario import Scenario
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
@@ -31,7 +33,7 @@ class Trace(NamedTuple):
     y: Array  # [T, n, ...] rad, encoder reading
     q_ref: Array  # [T, n, ...] rad
     tau_applied: Array  # [T, n, ...] N m, torque that reached the arm
-    fault_tau: Array  # [T, n, ...] N m, true actuator fault
+    fault_tau: Array  # [T, n, ...] N m, true actuator fault, at the motor (the plant's torque_constant comes after it)
     fault_q: Array  # [T, n, ...] rad, true encoder fault
     out: Output  # what the controller said, time first
 
@@ -59,21 +61,43 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
 
 
 def check(config: Config, gains: Gains, scenario: Scenario) -> None:
-    """Refuse what cannot be simulated, before anything compiles."""
+    """Refuse what cannot be simulated, before anything compiles.
+
+    Raises:
+        ValueError: naming the leaf, what came and what is allowed.
+    """
     check_gains(config, gains)
-    if scenario.q_start.shape[1:] != scenario.id.shape:
+    scenario = jax.tree.map(jnp.asarray, scenario)
+    axes = scenario.id.shape
+    if scenario.q_start.shape[1:] != axes:
         raise ValueError(
-            f"scenario.q_start has shape {list(scenario.q_start.shape)}, scenario.id {list(scenario.id.shape)}; "
+            f"scenario.q_start has shape {list(scenario.q_start.shape)}, scenario.id {list(axes)}; "
             "sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"
         )
-    for name in ("q_start", "q_goal"):
-        checks.joints_first(f"scenario.{name}", getattr(scenario, name), config.n)
-        checks.finite(f"scenario.{name}", getattr(scenario, name), "give angles in rad")
-    for channel in ("fault_tau", "fault_q"):
-        for name in ("kind", "magnitude", "onset"):
-            leaf = getattr(getattr(scenario, channel), name)
-            checks.joints_first(f"scenario.{channel}.{name}", leaf, config.n)
-            checks.finite(f"scenario.{channel}.{name}", leaf, "a fault that is not there has kind 0 and magnitude 0")
+    for path, leaf in jax.tree_util.tree_leaves_with_path(scenario):
+        name = "scenario" + jax.tree_util.keystr(path)
+        own = () if name in ("scenario.id", "scenario.noise", "scenario.plant.payload") else (config.n,)
+        if leaf.shape not in (own, own + axes):
+            raise ValueError(f"{name} must have shape {list(own)} or {list(own + axes)}, got {list(leaf.shape)}")
+        allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
+        if not isinstance(leaf, Tracer) and not allowed(np.asarray(leaf)).all():
+            raise ValueError(f"{name} must {rule}, got {np.asarray(leaf).tolist()}")
+
+
+def _positive(x: np.ndarray) -> np.ndarray:
+    return (x > 0) & np.isfinite(x)
+
+
+_ALLOWED = {  # leaves that may be more or less than any finite number
+    "clear": (lambda x: ~np.isnan(x), "be a number, infinite if the fault stays"),
+    "period": (lambda x: x > 0, "be positive, infinite if the fault is not intermittent"),
+    "duty": (lambda x: (x >= 0) & (x <= 1), "lie in [0, 1]"),
+    "kind": (lambda x: (x >= 0) & (x <= max(max(Actuator), max(Sensor))) & (x == np.round(x)), "be an Actuator or a Sensor"),
+    "noise": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "payload": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "mass": (_positive, "be positive and finite"),
+    "armature": (_positive, "be positive and finite"),
+}
 
 
 def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from typing import Literal
 
 from jaxftc import checks
@@ -76,9 +75,3 @@ class Config:
     def inputs(self) -> int:
         """Input signals that reach each joint's ARX model."""
         return 1 if self.input == "rigid_body" else self.n
-
-    @property
-    def fingerprint(self) -> str:
-        """What a gains file must agree with: robot, sample time, orders and input form."""
-        parts = (self.robot.fingerprint, self.dt, self.order_a, self.order_b, self.input)
-        return hashlib.sha256(repr(parts).encode()).hexdigest()[:16]

@@ -178,12 +178,14 @@ def check(config: Config, gains: Gains) -> None:
 
 def _check_values(path: str, value: np.ndarray, spec: Spec) -> None:
     if not np.isfinite(value).all():
-        raise ValueError(f"{path} must be finite, got {value.tolist()}; load or build the gains anew")
+        raise ValueError(f"{path} must be finite, got {value.tolist()}")
     both_open = spec.open_low and spec.high == 1.0 and spec.low == -1.0
     below = value <= spec.low if spec.open_low else value < spec.low
     over = value >= spec.high if both_open else value > spec.high
     if (below | over).any():
-        interval = f"{'(' if spec.open_low else '['}{spec.low:g}, {spec.high:g}{')' if both_open else ']'}"
-        raise ValueError(f"{path} must lie in {interval} {spec.unit}, got {value.tolist()}")
+        closing = ")" if both_open or math.isinf(spec.high) else "]"
+        interval = f"{'(' if spec.open_low else '['}{spec.low:g}, {spec.high:g}{closing}"
+        unit = "" if spec.unit == "1" else f" {spec.unit}"
+        raise ValueError(f"{path} must lie in {interval}{unit}, got {value.tolist()}")
     if path.split(".")[1] in _INCREASING and (np.diff(value, axis=0) <= 0).any():
         raise ValueError(f"{path} must increase from set to set, got {value.tolist()}")

@@ -17,13 +17,11 @@ from jaxftc.version import __version__
 
 
 def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
-    """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds the fingerprint to check."""
-    header: dict[str, Any] = {"jaxftc": __version__}
-    if config is not None:
-        header |= {"robot": config.robot.name, "fingerprint": config.fingerprint}
-    table: dict[str, Any] = {"made_with": header}
+    """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds what they belong to."""
+    table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else _header(config))}
     for block, name, spec in specs():
-        value = np.asarray(getattr(getattr(gains, block), name), float).tolist()
+        value = np.asarray(getattr(getattr(gains, block), name))
+        value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
         table.setdefault(block, {})[name] = {"unit": spec.unit, "value": value}
     path = Path(path)
     aside = path.with_suffix(path.suffix + ".tmp")
@@ -41,22 +39,41 @@ def load_gains(path: str | Path, config: Config) -> Gains:
         table = tomllib.loads(Path(path).read_text())
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ValueError(f"cannot read gains from {path}: {error}") from error
-    made_with = table.pop("made_with", {})
-    if made_with.get("fingerprint", config.fingerprint) != config.fingerprint:
+    strays = [key for key, entries in table.items() if not isinstance(entries, dict)]
+    if strays:
         raise ValueError(
-            f"{path} holds gains for another robot, sample time, orders or input (robot {made_with.get('robot')!r}); "
-            f"this config is for {config.robot.name!r}, so use the config they were made with"
+            f"{path}: {strays[0]!r} must be a table of gains, got {table[strays[0]]!r}; write it with save_gains"
         )
+    made_with = table.pop("made_with", {})
+    ours = _header(config)
+    other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
+    if other:
+        raise ValueError(f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with")
     known = {(block, name): spec for block, name, spec in specs()}
     values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
     for block, entries in table.items():
-        for name, entry in entries.items() if isinstance(entries, dict) else ((entries, None),):
-            values_of = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
-            values[block][name] = values_of
+        for name, entry in entries.items():
+            value = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
+            values[block][name] = value
     missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
     if missing:
         raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
-    return build(config, values)
+    try:
+        return build(config, values)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _header(config: Config) -> dict[str, Any]:
+    """What gains belong to."""
+    return {
+        "robot": config.robot.name,
+        "robot_fingerprint": config.robot.fingerprint,
+        "dt": config.dt,
+        "order_a": config.order_a,
+        "order_b": config.order_b,
+        "input": config.input,
+    }
 
 
 def _read_entry(
@@ -68,6 +85,9 @@ def _read_entry(
     if not isinstance(entry, dict) or set(entry) != {"unit", "value"} or entry["unit"] != spec.unit:
         raise ValueError(f"{path}: {name} must be a table of unit = {spec.unit!r} and value, got {entry!r}")
     try:
-        return np.asarray(entry["value"], float)
+        value = np.asarray(entry["value"])
+        if value.dtype == bool:
+            raise TypeError("a truth value is no number")
+        return value.astype(float)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: {name} must hold numbers, got {entry['value']!r}") from error

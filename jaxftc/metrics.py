@@ -13,6 +13,7 @@ from jaxftc.config import Config
 from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
 
 SETTLE = 0.060  # s after the alarm at which the verdict is scored
+RECOVERY = 0.100  # s after a fault has gone within which alarms may last
 
 
 class Metrics(NamedTuple):
@@ -22,8 +23,18 @@ class Metrics(NamedTuple):
     fault_q_rms_deg: float  # of the encoder-fault estimate's error
     delay_s: float | None  # from onset to the first alarm; None if there is no fault, infinite if it was missed
     isolated: bool  # every joint's verdict right SETTLE after the alarm; without a fault: no alarm at all
+    false_alarm_s: float | None  # first time of an alarm without a fault, None if there was none
     tracking_rms_deg: float  # of the true angle against the reference
     chattering: float  # 1/s, total variation of torque over the torque limit, mean over joints
+
+
+class Detection(NamedTuple):
+    """What became of a fault."""
+
+    delay_s: float | None  # as in Metrics
+    isolated: bool
+    false_alarm_s: float | None
+    verdict: np.ndarray  # [n] as scored
 
 
 def rms(x: np.ndarray) -> float:
@@ -31,24 +42,32 @@ def rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x, dtype=np.float64))))
 
 
-def true_verdict(fault_tau_kind: np.ndarray, fault_q_kind: np.ndarray) -> np.ndarray:
-    """Verdict [n] that is right while the faults are there, from their kinds [n]."""
-    actuator, sensor = np.asarray(fault_tau_kind) > 0, np.asarray(fault_q_kind) > 0
-    return np.select([actuator & sensor, actuator, sensor], [BOTH, ACTUATOR, SENSOR], NORMAL)
+def truth(fault_tau: np.ndarray, fault_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(verdict [n] that is right while the faults are there, whether any is there [T]) from the true faults [T, n]."""
+    tau, q = fault_tau != 0, fault_q != 0
+    actuator, sensor = tau.any(0), q.any(0)
+    return np.select([actuator & sensor, actuator, sensor], [BOTH, ACTUATOR, SENSOR], NORMAL), (tau | q).any(1)
 
 
-def detection(
-    config: Config, verdict: np.ndarray, wanted: np.ndarray, onset: float
-) -> tuple[float | None, bool, np.ndarray]:
-    """(delay s, isolated, scored verdict [n]) of a run's verdicts [T, n] against the wanted one [n]."""
-    if not (wanted != NORMAL).any():
-        return None, not (verdict != NORMAL).any(), verdict.max(0)
-    first_tick = int(np.ceil(onset / config.dt - 1e-6))
-    alarms = np.flatnonzero((verdict[first_tick:] != NORMAL).any(1))
+def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: np.ndarray) -> Detection:
+    """What became of the faults of a run, from verdicts [T, n], the wanted one [n] and when a fault is there [T] bool.
+
+    The delay runs from onset to the first alarm that is up then or later; the verdict is scored SETTLE after that. An alarm
+    before onset, or later than RECOVERY after the last tick of a fault, is a false one.
+    """
+    alarm, ticks = (verdict != NORMAL).any(1), np.arange(len(verdict))
+    there = np.flatnonzero(present)
+    first, last = (there[0], there[-1]) if there.size else (len(verdict), -1)
+    excused = (ticks >= first) & (ticks <= last + round(RECOVERY / config.dt))
+    false = np.flatnonzero(alarm & ~excused)
+    false_alarm_s = float(false[0] * config.dt) if false.size else None
+    if not there.size:
+        return Detection(None, not false.size, false_alarm_s, verdict.max(0))
+    alarms = np.flatnonzero(alarm[first:])
     if not alarms.size:
-        return float("inf"), False, verdict[-1]
-    at = min(first_tick + int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
-    return int(alarms[0]) * config.dt, bool((verdict[at] == wanted).all()), verdict[at]
+        return Detection(float("inf"), False, false_alarm_s, verdict[-1])
+    at = min(first + int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
+    return Detection(int(alarms[0]) * config.dt, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at])
 
 
 def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:
@@ -57,14 +76,25 @@ def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:
     return float(np.abs(np.diff(tau / scale, axis=0)).sum(0).mean() / (len(tau) * dt))
 
 
-def evaluate(config: Config, trace: dict[str, np.ndarray], wanted: np.ndarray, onset: float) -> Metrics:
-    """All figures of one run; ``trace`` is a column per signal, [T, n], as ``columns`` gives it."""
-    delay, isolated, _ = detection(config, trace["verdict"], wanted, onset)
+def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
+    """All figures of one run; ``trace`` is a column per signal, [T, n], as ``columns`` gives it.
+
+    Raises:
+        ValueError: the arm diverged.
+    """
+    lost = np.flatnonzero(~np.isfinite(trace["q"]).all(1))
+    if lost.size:
+        raise ValueError(
+            f"the arm diverged: its angles are not finite from {lost[0] * config.dt:g} s on; "
+            "give smaller faults or gains, or a longer motion"
+        )
+    found = detection(config, trace["verdict"], *truth(trace["fault_tau"], trace["fault_q"]))
     return Metrics(
         fault_tau_rms_nm=rms(trace["fault_tau_hat"] - trace["fault_tau"]),
         fault_q_rms_deg=float(np.rad2deg(rms(trace["fault_q_hat"] - trace["fault_q"]))),
-        delay_s=delay,
-        isolated=isolated,
+        delay_s=found.delay_s,
+        isolated=found.isolated,
+        false_alarm_s=found.false_alarm_s,
         tracking_rms_deg=float(np.rad2deg(rms(trace["q"] - trace["q_ref"]))),
         chattering=chattering(trace["tau"], config.robot.torque_limit, config.dt),
     )

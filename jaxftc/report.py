@@ -13,13 +13,13 @@ from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS
 
 if TYPE_CHECKING:
-    from jaxftc.paper import Experiment
+    from jaxftc.paper import Experiment, Row
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # told apart by colour-blind readers
 _STYLE = """
 body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222;background:#fff}
-table{border-collapse:collapse;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
-td,th{padding:.2rem .7rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}
+table{border-collapse:collapse;font-size:.9rem;font-variant-numeric:tabular-nums;display:block;overflow-x:auto}
+td,th{padding:.15rem .5rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}
 td:nth-child(-n+3),th:nth-child(-n+3){text-align:left} .claims td{white-space:normal;text-align:left}
 .no{color:#a33;font-weight:600} .yes{color:#276}
 """
@@ -71,18 +71,19 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) ->
 
 
 def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:
-    """Angles against their reference, and torques."""
-    figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
+    """Angles, their distance from the reference, and torques."""
+    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.06)
     t = trace["t"]
     for j, joint in enumerate(config.robot.joint_names):
         look: dict[str, Any] = {"legendgroup": joint, "line_color": COLOURS[j % 7]}
         figure.add_scatter(x=t, y=np.rad2deg(trace["q"][:, j]), name=joint, **look, row=1, col=1)
-        figure.add_scatter(x=t, y=np.rad2deg(trace["q_ref"][:, j]), showlegend=False, line_dash="dot", **look, row=1, col=1)
-        figure.add_scatter(x=t, y=trace["tau"][:, j], showlegend=False, **look, row=2, col=1)
+        error = np.rad2deg(trace["q"][:, j] - trace["q_ref"][:, j])
+        figure.add_scatter(x=t, y=error, showlegend=False, **look, row=2, col=1)
+        figure.add_scatter(x=t, y=trace["tau"][:, j], showlegend=False, **look, row=3, col=1)
     _shade(figure, trace)
-    figure.update_yaxes(title_text="angle (dotted: reference), deg", row=1, col=1)
-    figure.update_yaxes(title_text="torque command, N m", row=2, col=1)
-    return _finish(figure, "Motion and torque", "")
+    for row, title in enumerate(("angle, deg", "tracking error, deg", "torque command, N m"), start=1):
+        figure.update_yaxes(title_text=title, row=row, col=1)
+    return _finish(figure, "Motion, tracking and torque", "").update_layout(height=700)
 
 
 def _observers(config: Config, experiment: Experiment) -> go.Figure:
@@ -137,34 +138,28 @@ def _claims(experiment: Experiment) -> str:
     return f"<table class='claims'><tr><th></th><th>claim</th><th>our figure</th><th>detail</th></tr>{rows}</table>"
 
 
-def _table(experiment: Experiment) -> str:
-    head = (
-        "condition",
-        "observer",
-        "controller",
-        "torque estimate rms, N m",
-        "angle estimate rms, deg",
-        "delay, ms",
-        "told apart",
-        "tracking rms, deg",
-        "chattering, 1/s",
-    )
-    rows = ""
-    for r in experiment.rows:
-        delay = "-" if r.delay_s is None else f"{r.delay_s * 1e3:.0f}"
-        cells = (
-            r.condition,
-            r.observer,
-            r.controller,
-            f"{r.fault_tau_rms_nm:.3f}",
-            f"{r.fault_q_rms_deg:.4f}",
-            delay,
-            "yes" if r.isolated else "no",
-            f"{r.tracking_rms_deg:.3f}",
-            f"{r.chattering:.2f}",
+def comparison(rows: list[Row]) -> tuple[tuple[str, ...], tuple[str, ...], list[tuple[str, ...]]]:
+    """Head, units and cells of the comparison table, for page and terminal alike."""
+    head = ("condition", "observer", "controller", "torque est.", "angle est.", "delay", "told apart", "false alarm")
+    head += ("tracking", "chattering")
+    units = ("", "", "", "rms N m", "rms deg", "ms", "", "at s", "rms deg", "1/s")
+    cells = [
+        (
+            *(r.condition, r.observer, r.controller, f"{r.fault_tau_rms_nm:.3f}", f"{r.fault_q_rms_deg:.4f}"),
+            "-" if r.delay_s is None else "missed" if np.isinf(r.delay_s) else f"{r.delay_s * 1e3:.0f}",
+            *("yes" if r.isolated else "no", "-" if r.false_alarm_s is None else f"{r.false_alarm_s:.3f}"),
+            *(f"{r.tracking_rms_deg:.3f}", f"{r.chattering:.2f}"),
         )
-        rows += "<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
-    return "<table><tr>" + "".join(f"<th>{h}</th>" for h in head) + f"</tr>{rows}</table>"
+        for r in rows
+    ]
+    return head, units, cells
+
+
+def _table(experiment: Experiment) -> str:
+    head, units, rows = comparison(experiment.rows)
+    titles = "".join(f"<th>{title}<br>{unit}</th>" for title, unit in zip(head, units, strict=True))
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{titles}</tr>{body}</table>"
 
 
 def _figure(figure: go.Figure) -> str:

@@ -37,15 +37,26 @@ class Block:
         return jaxftc.Config(jaxftc.puma560(), engine="chain", **dict(self.change))
 
 
-def adapt_fuzzy(config, gains, state, e, jump, residual_tau):
+def adapt_fuzzy(config, gains, state, e, strange, change, residual_tau):
     del config
-    booked = adaptive.book_jump(gains.observer, jump)
-    return adaptive.step(gains.observer, state, e, booked, residual_tau, gains.diagnosis.alpha_tau), booked
+    zero = jnp.zeros_like(e)
+    jump = adaptive.judge(gains.observer, strange, change, state.b, zero, zero)
+    return adaptive.step(gains.observer, state, e, jump, residual_tau, gains.diagnosis.alpha_tau), jump
 
 
-def observe(config, gains, state, y, u, residual_tau):
-    state, seen = cascade.explain(config, gains, cascade.drive(gains, state, u), y)
+def observe(config, gains, state, y, u, expected, residual_tau):
+    no_doubt = cascade.Doubt(*[jnp.zeros_like(y)] * 4)
+    state = cascade.drive(gains, state, u)
+    state, seen = cascade.explain(config, gains, state, y, expected, no_doubt)
     return cascade.adapt(config, gains, state, seen, residual_tau), seen
+
+
+def judge(config, gains, state, s_tau, s_q, y, h_s, qd_hat):
+    """The decision on a reading of which only these parts are looked at."""
+    never, zero = jnp.zeros(y.shape, bool), jnp.zeros_like(y)
+    jump = adaptive.Jump(h_s, jnp.sign(h_s), zero, zero)
+    seen = cascade.Innovation(y, y, zero, jump, zero, zero, y, zero, zero, never, never)
+    return decide.step(config, gains, state, s_tau, s_q, seen, qd_hat)
 
 
 def track(config, gains, state, q, *reference):
@@ -92,16 +103,16 @@ SMALL = [
         "adaptive",
         lambda config, gains, q: adaptive.State(jnp.zeros_like(q), jnp.zeros_like(q)),
         adapt_fuzzy,
-        (1e-3, 1e-3, 3.0),
+        (1e-3, 1e-3, 1e-3, 3.0),
     ),
-    *(Block(f"cascade-{o}", cascade.init, observe, (1.0, 10.0, 3.0), (("observer", o),)) for o in ("pi", "eso", "ts")),
+    *(Block(f"cascade-{o}", cascade.init, observe, (1.0, 10.0, 10.0, 3.0), (("observer", o),)) for o in ("pi", "eso", "ts")),
     Block(
         "threshold",
         lambda config, gains, q: threshold.init(q),
         lambda config, gains, state, *residuals: threshold.step(gains.diagnosis, state, *residuals),
         (3.0, 0.02),
     ),
-    Block("decide", lambda config, gains, q: decide.init(q), decide.step, (3.0, 0.02, 1.0, 1.0, 2.0)),
+    Block("decide", lambda config, gains, q: decide.init(q), judge, (3.0, 0.02, 1.0, 1.0, 2.0)),
     Block("surface", lambda config, gains, q: (q, jnp.zeros_like(q)), track, (1.0, 1.0, 2.0, 10.0)),
     *(
         Block(f"law-{c}", lambda config, gains, q: (), command, (2.0, 1.0, 1.0, 5.0, 10.0), (("control", c),))

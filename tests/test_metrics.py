@@ -7,38 +7,67 @@ from jaxftc import metrics
 from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
 
 
-def test_delay_counts_from_onset_and_ignores_what_was_before(config):
+def fault(start, stop, joint=2, ticks=300):
+    """(wanted verdict [n], presence [T]) of an actuator fault."""
+    tau = np.zeros((ticks, 6))
+    tau[start:stop, joint] = 4.0
+    return metrics.truth(tau, np.zeros((ticks, 6)))
+
+
+def test_delay_counts_from_onset_and_earlier_alarms_are_false(config):
     verdict = np.zeros((300, 6), int)
-    verdict[50:60, 0] = ACTUATOR  # a false alarm before onset is not a detection
     verdict[117:, 2] = ACTUATOR
-    wanted = np.array([0, 0, ACTUATOR, 0, 0, 0])
-    delay, isolated, scored = metrics.detection(config, verdict, wanted, 0.1)
-    assert delay == pytest.approx(0.017) and isolated and scored.tolist() == wanted.tolist()
+    found = metrics.detection(config, verdict, *fault(100, 300))
+    assert found.delay_s == pytest.approx(0.017) and found.isolated and found.false_alarm_s is None
+    verdict[50:60, 0] = ACTUATOR
+    found = metrics.detection(config, verdict, *fault(100, 300))
+    assert found.delay_s == pytest.approx(0.017) and found.false_alarm_s == pytest.approx(0.050)
 
 
 def test_verdict_is_scored_after_it_settled(config):
     verdict = np.zeros((300, 6), int)
-    verdict[100:130, 2], verdict[130:, 2] = ACTUATOR, SENSOR
-    wanted = np.array([0, 0, SENSOR, 0, 0, 0])
-    assert metrics.detection(config, verdict, wanted, 0.1)[1]
+    verdict[100:130, 2], verdict[130:, 2] = SENSOR, ACTUATOR
+    assert metrics.detection(config, verdict, *fault(100, 300)).isolated
     verdict[165, 0] = ACTUATOR  # later than the scored tick
-    assert metrics.detection(config, verdict, wanted, 0.1)[1]
+    assert metrics.detection(config, verdict, *fault(100, 300)).isolated
     verdict[160, 0] = ACTUATOR
-    assert not metrics.detection(config, verdict, wanted, 0.1)[1]
+    assert not metrics.detection(config, verdict, *fault(100, 300)).isolated
+
+
+def test_an_alarm_that_outlasts_the_fault_is_false(config):
+    verdict = np.zeros((300, 6), int)
+    verdict[100:200, 2] = ACTUATOR
+    assert metrics.detection(config, verdict, *fault(100, 150)).false_alarm_s is None
+    verdict[100:260, 2] = ACTUATOR
+    assert metrics.detection(config, verdict, *fault(100, 150)).false_alarm_s == pytest.approx(0.250)
 
 
 def test_a_miss_is_infinite_and_a_healthy_run_is_right_without_alarm(config):
-    quiet = np.zeros((300, 6), int)
-    assert metrics.detection(config, quiet, np.full(6, ACTUATOR), 0.1)[:2] == (float("inf"), False)
-    assert metrics.detection(config, quiet, np.full(6, NORMAL), 0.1)[:2] == (None, True)
+    quiet, healthy = np.zeros((300, 6), int), fault(0, 0)
+    assert metrics.detection(config, quiet, *fault(100, 200))[:2] == (float("inf"), False)
+    assert metrics.detection(config, quiet, *healthy)[:3] == (None, True, None)
     alarm = quiet.copy()
     alarm[3, 1] = SENSOR
-    assert metrics.detection(config, alarm, np.full(6, NORMAL), 0.1)[:2] == (None, False)
+    found = metrics.detection(config, alarm, *healthy)
+    assert found[:2] == (None, False) and found.false_alarm_s == pytest.approx(0.003)
 
 
-def test_true_verdict():
-    kinds = metrics.true_verdict(np.array([0, 1, 0, 2]), np.array([0, 0, 3, 1]))
-    assert kinds.tolist() == [NORMAL, ACTUATOR, SENSOR, BOTH]
+def test_truth_comes_from_what_was_really_there():
+    tau, q = np.zeros((5, 4)), np.zeros((5, 4))
+    tau[1, 1], tau[2, 3], q[3, 2], q[4, 3] = 1.0, -2.0, 0.1, 0.1
+    wanted, present = metrics.truth(tau, q)
+    assert wanted.tolist() == [NORMAL, ACTUATOR, SENSOR, BOTH] and present.tolist() == [False, True, True, True, True]
+
+
+def test_a_run_that_diverged_is_refused(config):
+    trace = {
+        name: np.zeros((10, 6)) for name in ("q", "q_ref", "fault_tau", "fault_q", "fault_tau_hat", "fault_q_hat", "tau")
+    }
+    trace |= {"verdict": np.zeros((10, 6), int)}
+    metrics.evaluate(config, trace)
+    trace["q"][7:, 2] = np.nan
+    with pytest.raises(ValueError, match=r"the arm diverged: its angles are not finite from 0.007 s on; give smaller"):
+        metrics.evaluate(config, trace)
 
 
 def test_chattering_of_a_square_wave():

@@ -125,12 +125,13 @@ def test_kind_and_joint_are_right_on_standard(name, puma, capsys):
         verdict = run(config, gains, jaxftc.trail(scenarios), jax.random.key(22))["verdict"]
     fault = scenarios.fault_tau if channel == "actuator" else scenarios.fault_q
     wanted = np.where(np.asarray(fault.kind) > 0, 1 if channel == "actuator" else 2, 0)
-    results = [metrics.detection(config, verdict[..., i], wanted[i], float(fault.onset[i, 0])) for i in range(500)]
-    found = np.array([np.isfinite(delay) for delay, _, _ in results])
-    right = np.array([isolated for _, isolated, _ in results])[found].mean()
+    present = np.arange(config.ticks)[:, None] * config.dt >= np.asarray(fault.onset)[:, 0]
+    results = [metrics.detection(config, verdict[..., i], wanted[i], present[:, i]) for i in range(500)]
+    found = np.array([np.isfinite(result.delay_s) for result in results])
+    right = np.array([result.isolated for result in results])[found].mean()
     with capsys.disabled():
         print(f"\n{name}: detected {found.mean():.3f}, kind and joint right {right:.3f}, "
-              f"median delay {1e3 * np.median([d for d, _, _ in results]):.0f} ms")  # fmt: skip
+              f"median delay {1e3 * np.median([r.delay_s for r in results]):.0f} ms")  # fmt: skip
     assert found.mean() >= 0.95
     assert right >= least
 

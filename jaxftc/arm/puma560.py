@@ -110,4 +110,5 @@ def _restore_link3(model: mujoco.MjModel) -> None:
 @functools.cache
 def puma560(*, coulomb: bool = True) -> Robot:
     """The PUMA 560. ``coulomb=False`` is the arm of the paper's conditions: viscous friction only, in plant and model."""
-    return compile_robot("puma560", mjcf(coulomb=coulomb), amend=_restore_link3)
+    name = "puma560" if coulomb else "puma560 without Coulomb friction"
+    return compile_robot(name, mjcf(coulomb=coulomb), amend=_restore_link3)

@@ -102,7 +102,7 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
     limit = _torque_limit(model)
     constants = [model.qpos0, model.opt.gravity, model.dof_armature, model.dof_damping, positive, negative, limit]
     constants += [getattr(link, f.name) for link in (*links, payload_link) for f in dataclasses.fields(Link)]
-    digest = hashlib.sha256(repr([np.round(np.ravel(c), 9).tolist() for c in constants]).encode())
+    digest = hashlib.sha256(repr([(np.round(np.ravel(c), 9) + 0.0).tolist() for c in constants]).encode())
     return Robot(
         name=name,
         mjcf=spec.to_xml(),

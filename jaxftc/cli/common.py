@@ -58,10 +58,21 @@ def prepare(options: Options) -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
+def key(options: Options) -> Any:
+    """The random key that ``--seed`` names."""
+    import jax
+
+    if not 0 <= options.seed < 2**63:
+        raise ValueError(f"--seed must lie in 0 to 2^63 - 1, got {options.seed}")
+    return jax.random.key(options.seed)
+
+
 def load_arm(options: Options) -> Robot:
     """The robot that ``--robot`` names."""
     from jaxftc import load_robot, puma560
 
+    if options.coulomb and options.robot != "puma560":
+        raise ValueError("--coulomb is for the built-in arm; a robot file says its friction itself (user or frictionloss)")
     return puma560(coulomb=options.coulomb) if options.robot == "puma560" else load_robot(options.robot)
 
 

@@ -14,6 +14,7 @@ import tyro
 
 from jaxftc.cli.demo import Demo
 from jaxftc.cli.simulate import Simulate
+from jaxftc.version import __version__
 
 COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate}
 DESCRIPTION = "Design, tune and stress-test fault diagnosis and fault-tolerant control for robot arms."
@@ -34,11 +35,14 @@ def parse(arguments: list[str] | None = None) -> Any:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the console script."""
+    if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+        print(f"jaxftc {__version__}")
+        return
     command = parse(arguments)
     try:
         command.run()
     except (ValueError, OSError) as error:
-        print(f"jaxftc: {error}", file=sys.stderr)
+        print(f"jaxftc: {' '.join(str(error).split())}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("jaxftc: stopped; the files that are there are complete", file=sys.stderr)

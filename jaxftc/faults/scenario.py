@@ -55,7 +55,7 @@ def paper_scenario(
     window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
 
     def bias(kind: int, size: float) -> Fault:
-        return healthy._replace(kind=jnp.full(n, kind, jnp.int32), magnitude=jnp.full(n, float(size)), **window)
+        return healthy._replace(kind=jnp.full(n, kind, jnp.int32), magnitude=jnp.full(n, size, float), **window)
 
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),
