@@ -89,6 +89,9 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
     _add_payload(spec, name)
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.compiler.fusestatic = False  # URDF would fuse the payload's body into its parent
+    for geom in spec.geoms:  # MJX refuses pairs of shapes that it cannot collide, contacts or not
+        geom.contype = geom.conaffinity = 0
     try:
         model = spec.compile()
     except ValueError as error:

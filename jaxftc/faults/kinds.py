@@ -46,5 +46,5 @@ class Fault(NamedTuple):
 
 def no_fault(n: int) -> Fault:
     """A healthy channel of n joints."""
-    zero, never, always = jnp.zeros(n), jnp.full(n, jnp.inf), jnp.ones(n)
-    return Fault(jnp.zeros(n, jnp.int32), zero, zero, never, zero, never, always)
+    zero, always = jnp.zeros(n), jnp.ones(n)
+    return Fault(jnp.zeros(n, jnp.int32), zero, zero, always * jnp.inf, zero, always * jnp.inf, always)

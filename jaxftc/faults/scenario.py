@@ -52,10 +52,11 @@ def paper_scenario(
     n = config.n
     start, goal = paper_motion(config)
     healthy = no_fault(n)
-    window = {"onset": jnp.full(n, PAPER_WINDOW[0]), "clear": jnp.full(n, PAPER_WINDOW[1])}
 
     def bias(kind: int, size: float) -> Fault:
-        return healthy._replace(kind=jnp.full(n, kind, jnp.int32), magnitude=jnp.full(n, size, float), **window)
+        leaves = {"kind": jnp.asarray(kind, jnp.int32), "magnitude": jnp.asarray(size, float)}
+        leaves |= {"onset": jnp.asarray(PAPER_WINDOW[0], float), "clear": jnp.asarray(PAPER_WINDOW[1], float)}
+        return healthy._replace(**{name: jnp.broadcast_to(leaf, (n,)) for name, leaf in leaves.items()})
 
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),
