@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import jaxftc
 from jaxftc import metrics
 from jaxftc.diagnosis import decide
-from jaxftc.faults.kinds import Sensor
-from jaxftc.faults.scenario import paper_scenario, trail
+from jaxftc.faults.kinds import Actuator, Sensor
+from jaxftc.faults.scenario import paper_scenario, stack, trail
 from jaxftc.observer.adaptive import Jump
 from jaxftc.observer.cascade import Innovation
 
@@ -185,8 +185,6 @@ def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     """Drift slow and fast, freeze, scale, noise on joint 3: called a sensor fault of joint 3 and of no other."""
     config = jaxftc.Config(paper_arm, engine="chain", duration=0.3)
     cases = [(Sensor.DRIFT, 0.15), (Sensor.DRIFT, -0.8), (Sensor.FREEZE, 0.0), (Sensor.SCALE, 0.05), (Sensor.NOISE, 60.0)]
-    from jaxftc.faults.scenario import stack
-
     batch = trail(stack([encoder_fault(config, kind, size) for kind, size in cases]))
     gains = jaxftc.default_gains(config)
     tight = dataclasses.replace(gains.diagnosis, alpha_q=jnp.full(6, np.deg2rad(0.02)))
@@ -197,3 +195,45 @@ def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
         first = np.flatnonzero(verdict[:, :, c].any(1))[0]
         assert first >= 100, (kind, size)
         np.testing.assert_array_equal(verdict[first + 60, :, c], [0, 0, 2, 0, 0, 0], err_msg=f"{kind!r} {size}")
+
+
+def robust_cases(config):
+    """(name, scenario, largest tracking error deg and largest error of the encoder-fault estimate deg at the end)."""
+    healthy = paper_scenario("healthy", config)
+
+    def faulty(channel, kind, size, joints, start=0.2, stop=0.4):
+        there = jnp.isin(jnp.arange(6), jnp.array(joints))
+        law = getattr(healthy, channel)._replace(
+            kind=jnp.where(there, int(kind), 0).astype(jnp.int32),
+            magnitude=jnp.where(there, float(size), 0.0),
+            onset=jnp.full(6, start),
+            clear=jnp.full(6, stop),
+        )
+        return healthy._replace(**{channel: law})
+
+    def plant(scenario, **leaves):
+        return scenario._replace(plant=scenario.plant._replace(**{k: jnp.asarray(v, float) for k, v in leaves.items()}))
+
+    everywhere = list(range(6))
+    return [
+        ("ten times the encoder noise", healthy._replace(noise=jnp.asarray(3e-4)), 1.0, 0.2),
+        ("noise on one encoder", faulty("fault_q", Sensor.NOISE, 60.0, [3], stop=jnp.inf), 2.0, 1.0),
+        ("dropout, payload", plant(faulty("fault_q", Sensor.DROPOUT, 0.0, everywhere, stop=0.3), payload=1.0), 0.5, 0.1),
+        ("dropout, masses", plant(faulty("fault_q", Sensor.DROPOUT, 0.0, everywhere), mass=np.full(6, 1.1)), 0.5, 0.1),
+        ("knock", faulty("fault_tau", Actuator.BIAS, 40.0, [4], stop=0.25), 0.1, 0.1),
+        ("drift that clears", faulty("fault_q", Sensor.DRIFT, np.deg2rad(20), [2]), 0.1, 0.1),
+        ("freeze that clears", faulty("fault_q", Sensor.FREEZE, 0.0, [2]), 0.1, 0.1),
+        ("freeze that stays", faulty("fault_q", Sensor.FREEZE, 0.0, [2], stop=jnp.inf), 1.0, 1.0),
+    ]
+
+
+def test_nothing_runs_away_and_what_has_passed_leaves_no_trace(paper_arm):
+    """The observer must not take its own corrections for encoder faults, whatever the encoder or the model does."""
+    config = jaxftc.Config(paper_arm, engine="chain")
+    cases = robust_cases(config)
+    batch = trail(stack([scenario for _, scenario, _, _ in cases]))
+    trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(0)))
+    for c, (name, _, tracking, estimate) in enumerate(cases):
+        assert np.isfinite(trace["tau"][..., c]).all(), name
+        assert np.rad2deg(np.abs(trace["q"] - trace["q_ref"])[-50:, :, c]).max() < tracking, name
+        assert np.rad2deg(np.abs(trace["fault_q_hat"] - trace["fault_q"])[-50:, :, c]).max() < estimate, name
