@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import tomli_w
 
 from jaxftc.config import Config
+from jaxftc.files import write_text
 from jaxftc.gains import BLOCKS, Gains, Spec, build, specs
 from jaxftc.version import __version__
 
@@ -23,10 +23,7 @@ def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> 
         value = np.asarray(getattr(getattr(gains, block), name))
         value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
         table.setdefault(block, {})[name] = {"unit": spec.unit, "value": value}
-    path = Path(path)
-    aside = path.with_suffix(path.suffix + ".tmp")
-    aside.write_text(tomli_w.dumps(table))
-    os.replace(aside, path)
+    write_text(Path(path), tomli_w.dumps(table))
 
 
 def load_gains(path: str | Path, config: Config) -> Gains:

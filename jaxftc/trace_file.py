@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
+
+from jaxftc.files import aside
 
 
 def write(path: Path, trace: dict[str, np.ndarray], joints: tuple[str, ...]) -> None:
@@ -18,8 +19,6 @@ def write(path: Path, trace: dict[str, np.ndarray], joints: tuple[str, ...]) -> 
             table[name] = np.ascontiguousarray(values)
         else:
             table |= {f"{name}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(joints)}
-    aside = path.with_name(path.name + ".tmp")
-    with duckdb.connect() as connection:
+    with aside(path) as temporary, duckdb.connect() as connection:
         connection.register("trace", table)
-        connection.execute("copy trace to $path (format parquet)", {"path": str(aside)})
-    os.replace(aside, path)
+        connection.execute("copy trace to $path (format parquet)", {"path": str(temporary)})

@@ -42,9 +42,9 @@ def nominal_plant(robot: Robot) -> Plant:
     return Plant(mass=one, payload=jnp.zeros(()), armature=one, damping=one, coulomb=one, torque_constant=one)
 
 
-def coulomb(robot: Robot, qd: Array, speed: float | None = None) -> Array:
+def coulomb(robot: Robot, qd: Array) -> Array:
     """Coulomb friction [n, ...] N m, direction-dependent: Tc+ at high positive speed, -Tc- at high negative speed."""
-    t = jnp.tanh(qd / (robot.coulomb_speed if speed is None else speed))
+    t = jnp.tanh(qd / robot.coulomb_speed)
     positive = chain.trailing_constant(robot.coulomb_positive, qd)
     negative = chain.trailing_constant(robot.coulomb_negative, qd)
     return 0.5 * ((positive + negative) * t + (positive - negative) * t * t)

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from jaxftc.files import write_text
+
 if TYPE_CHECKING:
     from jaxftc.arm.robot import Robot
     from jaxftc.config import Config
@@ -106,15 +108,8 @@ def make_folder(options: Options, command: str) -> Path:
         raise ValueError(f"cannot write results: {error}; give another folder with --out") from error
 
 
-def write_aside(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    aside = path.with_name(path.name + ".tmp")
-    aside.write_text(text, encoding="utf-8")
-    os.replace(aside, path)
-
-
 def write_json(path: Path, value: dict[str, Any]) -> str:
     """Write a JSON file and return its text."""
     text = json.dumps(value, indent=2, allow_nan=False)
-    write_aside(path, text + "\n")
+    write_text(path, text + "\n")
     return text

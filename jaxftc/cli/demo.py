@@ -6,6 +6,7 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 from jaxftc.cli import common
+from jaxftc.files import write_text
 
 if TYPE_CHECKING:
     from jaxftc.paper import Experiment, Row
@@ -29,7 +30,7 @@ class Demo(common.Options):
         with tqdm(total=9, desc="observers x controllers", unit="pair", leave=False) as bar:
             experiment = paper.run(config, gains, common.key(self), bar.update)
         text = common.write_json(folder / "result.json", paper.as_json(experiment))
-        common.write_aside(folder / "report.html", report.demo_page(config, experiment))
+        write_text(folder / "report.html", report.demo_page(config, experiment))
         common.say(self, table(experiment.rows))
         common.say(self, claims(experiment))
         common.say(self, f"\nWritten: {folder / 'report.html'}, {folder / 'result.json'}")

@@ -17,7 +17,7 @@ from jaxftc.cli.simulate import Simulate
 from jaxftc.version import __version__
 
 COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate}
-DESCRIPTION = "Design, tune and stress-test fault diagnosis and fault-tolerant control for robot arms."
+DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 
 def commands() -> dict[str, Any]:

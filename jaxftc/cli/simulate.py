@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any, Literal
 
 from jaxftc.cli import common
+from jaxftc.files import write_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -61,7 +62,7 @@ class Simulate(common.Options):
         trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
         text = common.write_json(folder / "result.json", result)
         title = f"{self.scenario}: {self.observer.upper()} observer, {self.control.upper()} control"
-        common.write_aside(folder / "figures.html", report.trace_page(config, trace, title))
+        write_text(folder / "figures.html", report.trace_page(config, trace, title))
         common.say(self, table(title, result))
         common.say(
             self, f"\nWritten: {', '.join(str(folder / name) for name in ('trace.parquet', 'figures.html', 'result.json'))}"

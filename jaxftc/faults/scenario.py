@@ -43,6 +43,7 @@ def paper_scenario(
 ) -> Scenario:
     """One of the paper's four conditions; torque N m and angle rad are the sizes of its faults.
 
+    The plant is the robot as the config has it: for the paper's arm, without Coulomb friction, give puma560(coulomb=False).
     An arm that does not have six joints moves each by one radian from its zero position instead of the paper's motion.
 
     Raises:

@@ -11,7 +11,6 @@ import numpy as np
 from jaxftc.fuzzy.membership import shares
 from jaxftc.types import Array
 
-LABELS = ("NB", "NM", "NS", "Z", "PS", "PM", "PB")
 PRINTED = np.array(
     [
         [2, 2, 2, 2, 1, 0, 0],

@@ -15,10 +15,9 @@ from jaxftc.types import Array
 
 
 class Weights(NamedTuple):
-    """Normalised firing of the rules; with ``neither`` they add up to 1."""
+    """Normalised firing of the rules with a torque consequent; (zero, at) is the jump's share, the rest is (zero, zero)."""
 
     actuator: Array  # [n, ...] (at, zero)
-    sensor: Array  # [n, ...] (zero, at)
     both: Array  # [n, ...] (at, at)
 
 
@@ -30,4 +29,4 @@ def jump_share(jump: Array, threshold: Array, centres: Array, widths: Array) -> 
 def weights(residual_tau: Array, threshold_tau: Array, h_s: Array, centres: Array, widths: Array) -> Weights:
     """Rule weights by products of shares, from the torque residual [n, ...] N m and the jump's grade h_s."""
     at = shares(jnp.abs(residual_tau) / threshold_tau, centres, widths)[1]
-    return Weights(actuator=at * (1 - h_s), sensor=(1 - at) * h_s, both=at * h_s)
+    return Weights(actuator=at * (1 - h_s), both=at * h_s)
