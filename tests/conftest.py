@@ -38,10 +38,3 @@ def paper_arm() -> jaxftc.Robot:
 def config(paper_arm) -> jaxftc.Config:
     """Every stage of the cascade and the adaptive law, on the quick engine, for 60 ticks."""
     return jaxftc.Config(paper_arm, engine="chain", duration=0.06)
-
-
-@pytest.fixture
-def aligned_ranks():
-    """An operation on arrays of different ranks is an error. For one arm [n] only: MJX and optax do not bear it."""
-    with jax.numpy_rank_promotion("raise"):
-        yield

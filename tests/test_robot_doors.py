@@ -500,7 +500,7 @@ def test_unreadable_gains_files_are_refused(config, tmp_path):
         ({"input": "torque"}, "holds gains for another input 'rigid_body', here 'torque'; use the config"),
         ({"robot": jaxftc.puma560}, "holds gains for another robot 'puma560 without Coulomb friction', here 'puma560';"),
     ],
-    ids=str,
+    ids=["dt", "order_a", "order_b", "input", "robot"],
 )
 def test_gains_of_another_system_are_refused(config, gains_file, change, text):
     other = dataclasses.replace(config, **{key: value() if callable(value) else value for key, value in change.items()})
