@@ -425,6 +425,14 @@ def test_rls_takes_scenarios_on_trailing_axes_and_aligned_ranks(rigid, rows, ali
         np.testing.assert_allclose(kappas[..., i], kappa, rtol=1e-6, atol=1e-12)
 
 
+@pytest.fixture
+def aligned_ranks():
+    """An operation on arrays of different ranks is an error."""
+    with jax.numpy_rank_promotion("raise"):
+        yield
+
+
+
 def test_the_fits_keep_ranks_aligned(torque, noisy, aligned_ranks):
     config, gains = torque
     identify.errors(config, identify.fit_multistep(config, identify.fit_batch(config, gains, noisy), noisy, steps=1), noisy)
