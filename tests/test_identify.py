@@ -432,7 +432,6 @@ def aligned_ranks():
         yield
 
 
-
 def test_the_fits_keep_ranks_aligned(torque, noisy, aligned_ranks):
     config, gains = torque
     identify.errors(config, identify.fit_multistep(config, identify.fit_batch(config, gains, noisy), noisy, steps=1), noisy)
