@@ -16,7 +16,7 @@ import tomli_w
 
 import jaxftc
 from jaxftc.arm import plant
-from jaxftc.arm.robot import PAYLOAD
+from jaxftc.arm.robot import PAYLOAD, compile_robot
 
 # Arbitrary axes, an anchor off its body's origin, a turned base that is welded to the world, gravity that is not along z,
 # an angle at which the arm is drawn, a body welded to a link, principal axes that are not the link's.
@@ -517,3 +517,25 @@ def test_gains_without_a_fingerprint_fit_any_system_of_their_shapes(config, tmp_
     jaxftc.save_gains(tmp_path / "gains.toml", jaxftc.default_gains(config))
     other = dataclasses.replace(config, robot=jaxftc.puma560())
     assert jaxftc.load_gains(tmp_path / "gains.toml", other).control.lam.shape == (6,)
+
+
+def small_arm(on_first="", on_last="", option=""):
+    inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
+    return (
+        f'<mujoco>{option}<worldbody><body><joint axis="0 0 1"/>{inertial}{on_first}'
+        f'<body pos="0 0 .3"><joint axis="0 0 1"/>{inertial}{on_last}</body></body></worldbody></mujoco>'
+    )
+
+
+def test_a_tool_in_a_frame_is_where_it_is_drawn():
+    arm = compile_robot("framed", small_arm(on_last='<frame pos="1 0 0"><site name="tool" pos=".1 0 0"/></frame>'))
+    np.testing.assert_allclose(np.linalg.norm(arm.payload_link.moment), 1.1)
+
+
+def test_a_tool_on_an_earlier_link_and_a_fluid_are_refused():
+    with pytest.raises(
+        ValueError, match=r"odd: the site 'tool' must sit on the last link, where a payload hangs; move it there"
+    ):
+        compile_robot("odd", small_arm(on_first='<site name="tool"/>'))
+    with pytest.raises(ValueError, match=r"wet: air or water \(option density, viscosity\) is not modelled here; remove it"):
+        compile_robot("wet", small_arm(option='<option density="1.2"/>'))

@@ -130,8 +130,10 @@ def _add_payload(spec: mujoco.MjSpec, name: str) -> None:
     moving = [body for body in spec.bodies if body.joints]
     if not moving:
         raise ValueError(f"{name} has no joint; a serial arm of at least one hinge is needed")
+    parent, position = moving[-1], np.zeros(3)
     site = next((s for s in spec.sites if s.name == "tool"), None)
-    parent, position = (site.parent, site.pos) if site is not None else (moving[-1], np.zeros(3))
+    if site is not None:  # compiled, because the site may be drawn in a frame of its own
+        parent, position = site.parent, spec.compile().site("tool").pos.copy()
     parent.add_body(name=PAYLOAD, pos=position, ipos=np.zeros(3), explicitinertial=True)
 
 
@@ -141,6 +143,8 @@ def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
         raise ValueError(
             f"{name}: joint stiffness and gravcomp are not modelled here; remove them, or add their torque to the command"
         )
+    if model.opt.density or model.opt.viscosity:
+        raise ValueError(f"{name}: air or water (option density, viscosity) is not modelled here; remove it")
     for j in range(model.njnt):
         if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
             kind = mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower()
@@ -148,7 +152,7 @@ def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
                 f"{name}: joint {model.joint(j).name!r} is a {kind} joint; only hinges are supported, "
                 "so weld the base to the world and replace other joints"
             )
-    body_link = np.full(model.nbody, -1)
+    body_link = np.full(model.nbody, -1, np.int32)
     for body in range(1, model.nbody):
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         above = body_link[model.body_parentid[body]]
@@ -158,6 +162,8 @@ def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
                 "so remove or weld the joints of the other branch"
             )
         body_link[body] = first + count - 1 if count else above
+    if body_link[model.body(PAYLOAD).id] != model.njnt - 1:
+        raise ValueError(f"{name}: the site 'tool' must sit on the last link, where a payload hangs; move it there")
     return body_link
 
 
