@@ -112,17 +112,8 @@ def test_demo_from_end_to_end(tmp_path):
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert len(result["rows"]) == 4 * 3 * 3
-    assert {
-        "condition",
-        "observer",
-        "controller",
-        "fault_tau_rms_nm",
-        "fault_q_rms_deg",
-        "delay_s",
-        "isolated",
-        "tracking_rms_deg",
-        "chattering",
-    } == set(result["rows"][0])
+    fixed = {"condition", "observer", "controller", "fault_tau_rms_nm", "fault_q_rms_deg", "delay_s", "isolated"}
+    assert fixed | {"tracking_rms_deg", "chattering"} <= set(result["rows"][0])
     assert all({"id", "claim", "value", "unit", "met"} <= set(claim) for claim in result["claims"])
     page = (tmp_path / "runs" / "demo-1" / "report.html").read_text()
     assert all(claim["id"] and f"{claim['value']:.4g}" in page for claim in result["claims"])
