@@ -1,6 +1,6 @@
 """Takagi-Sugeno weights of the observer's rules, Eqs. (8), (9): which channel is at its threshold.
 
-Two inputs, |torque residual| over its threshold and |jump of the innovation| over the jump that no torque can cause, each
+Two inputs, |torque residual| over its threshold and |jump of the reading| over the jump that no torque can cause, each
 with the Gaussian sets "zero" and "at threshold". The paper's three rules, and the one it leaves out: (zero, zero).
 """
 

@@ -66,9 +66,7 @@ def _scan(config: Config, gains: ArxGains, q: Array, u: Array) -> Array:
     x_b = jnp.repeat((gain_b * hold)[:, None], config.order_b, axis=1)
 
     def body(bank: arx.State, x: tuple[Array, Array]) -> tuple[arx.State, Array]:
-        return arx.State(
-            laguerre.advance(gains.xi_a, bank.x_a, x[0]), laguerre.advance(gains.xi_b, bank.x_b, x[1])
-        ), features(config, bank)
+        return arx.advance(gains, bank, *x), features(config, bank)
 
     return jax.lax.scan(body, arx.State(x_a, x_b), (q, u))[1]
 

@@ -42,10 +42,10 @@ def judge(gains: ObserverGains, strange: Array, change: Array, b: Array, kicked:
     and followed, they would leave the model's speed to itself.
     """
     h_s = ts.jump_share(strange, gains.jump, gains.jump_centres, gains.jump_widths)
-    step_ = h_s * change
-    book = ((kicked == 0) & (noisy == 0)) | (jnp.abs(b + step_) < jnp.abs(b))
+    size = h_s * change
+    book = ((kicked == 0) & (noisy == 0)) | (jnp.abs(b + size) < jnp.abs(b))
     follow = ~book & (noisy == 0)
-    return Jump(h_s, jnp.sign(strange), jnp.where(book, gains.alpha_f2 * step_, 0.0), jnp.where(follow, step_, 0.0))
+    return Jump(h_s, jnp.sign(strange), jnp.where(book, gains.alpha_f2 * size, 0.0), jnp.where(follow, size, 0.0))
 
 
 def step(gains: ObserverGains, state: State, e: Array, jump: Jump, residual_tau: Array, threshold_tau: Array) -> State:
@@ -55,4 +55,4 @@ def step(gains: ObserverGains, state: State, e: Array, jump: Jump, residual_tau:
     """
     h = ts.weights(residual_tau, threshold_tau, jump.h_s, gains.tau_centres, gains.tau_widths)
     drive = (h.actuator * gains.alpha_f1 + h.both * gains.alpha_f3) * e  # Eq. (9)
-    return State(psi=(1 - gains.leak) * state.psi + drive, b=state.b)
+    return state._replace(psi=(1 - gains.leak) * state.psi + drive)  # b has moved already, with its jump
