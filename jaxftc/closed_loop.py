@@ -155,6 +155,7 @@ def _simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> T
         k, drawn = x
         return advance(config, gains, scenario, carry, k.astype(dtype) * config.dt, drawn)
 
+    body = jax.checkpoint(body, prevent_cse=False)  # a gradient keeps the carry of every tick and runs the tick again
     return jax.lax.scan(body, loop, (jnp.arange(config.ticks), noise))[1]
 
 

@@ -105,6 +105,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
         verdict=verdict,
         detected=(verdict > 0).any(0),
+        suspect=decided.doubt.suspect,
         q_hat=seen.q_hat,
         qd_hat=qd,
         s=sliding_surface.s,

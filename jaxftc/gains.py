@@ -120,7 +120,7 @@ class Gains:
 
 
 BLOCKS = {"arx": ArxGains, "observer": ObserverGains, "diagnosis": DiagnosisGains, "control": ControlGains}
-_INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
+INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
 
 
 def specs() -> Iterator[tuple[str, str, Spec]]:
@@ -187,5 +187,5 @@ def _check_values(path: str, value: np.ndarray, spec: Spec) -> None:
         interval = f"{'(' if spec.open_low else '['}{spec.low:g}, {spec.high:g}{closing}"
         unit = "" if spec.unit == "1" else f" {spec.unit}"
         raise ValueError(f"{path} must lie in {interval}{unit}, got {value.tolist()}")
-    if path.split(".")[1] in _INCREASING and (np.diff(value, axis=0) <= 0).any():
+    if path.split(".")[1] in INCREASING and (np.diff(value, axis=0) <= 0).any():
         raise ValueError(f"{path} must increase from set to set, got {value.tolist()}")

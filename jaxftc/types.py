@@ -51,6 +51,7 @@ class Output(NamedTuple):
     threshold_q: Array  # [n, ...] rad
     verdict: Array  # [n, ...] int32: 0 normal, 1 actuator, 2 sensor, 3 both, Eq. (18)
     detected: Array  # [...] bool, any joint not normal, Eq. (17)
+    suspect: Array  # [n, ...] 1 where the second look holds the reading to be wrong, else 0
     q_hat: Array  # [n, ...] rad, encoder reading less its estimated fault
     qd_hat: Array  # [n, ...] rad/s
     s: Array  # [n, ...] rad/s, sliding surface, Eq. (19)

@@ -12,10 +12,15 @@ linear; simulation covers it.
 
 from __future__ import annotations
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.config import Config
-from jaxftc.gains import Gains
+from jaxftc.gains import Gains, specs
+from jaxftc.types import Array
+
+SQUARINGS = 16  # of the matrix: the norm of its 65536th power is radius^65536 within a factor that the root takes to 1
 
 
 def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
@@ -23,45 +28,68 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
 
     Only for ``input="rigid_body"``, where the joints do not couple; gains without scenario axes.
     """
+    matrices = np.asarray(error_matrices(config, gains), float)
+    return np.abs(np.linalg.eigvals(matrices)).max(-1).max(0)
+
+
+def smooth_radius(config: Config, gains: Gains) -> Array:
+    """The same [n] within 1e-4, from a power of the matrix: with a gradient, on every backend, also at double poles.
+
+    Gains with one trailing scenario axis give [n, scenarios].
+    """
+    leaves, tree = jax.tree.flatten(gains)
+    own = [len(spec.axes) for _, _, spec in specs()]
+    swept = [-1 if leaf.ndim > rank else None for leaf, rank in zip(leaves, own, strict=True)]
+    if any(axis is not None for axis in swept):
+        return jax.vmap(smooth_radius, in_axes=(None, jax.tree.unflatten(tree, swept)), out_axes=-1)(config, gains)
+    power = error_matrices(config, gains)
+    total = jnp.zeros(power.shape[:2], power.dtype)  # log of what was divided out, per unit of exponent
+    for k in range(SQUARINGS + 1):
+        size = jnp.sqrt((power * power).sum((-2, -1)))
+        total = total + jnp.log(size) / 2**k
+        power = power / size[..., None, None]
+        power = power @ power
+    return jnp.exp(total).max(0)
+
+
+def bank_matrices(xi: Array | float, order: int) -> tuple[Array, Array]:
+    """A [order, order] and b [order] of one Laguerre bank, Eq. (5), as matrices."""
+    i, j = np.indices((order, order))
+    xi = jnp.asarray(xi)
+    below = (1 - xi**2) * (-xi) ** np.maximum(i - j - 1, 0)
+    return jnp.where(i == j, xi, jnp.where(j < i, below, 0.0)), jnp.sqrt(1 - xi**2) * (-xi) ** np.arange(order)
+
+
+def error_matrices(config: Config, gains: Gains) -> Array:
+    """State matrices [cases, n, size, size] of (x, dt^2 psi_PI, dt^2 psi_F) for a zero reading: an error after one tick.
+
+    The cases are the fuzzy stage off and fully on; one case for an observer without it. Inputs and psi are scaled by dt^2,
+    so that all entries are angles.
+    """
     if config.input != "rigid_body":
         raise ValueError(
             'spectral_radius needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop'
         )
-    radii = []
-    for j in range(config.n):
-        plain = _error_matrix(config, gains, j, fuzzy=False)
-        full = _error_matrix(config, gains, j, fuzzy=True)
-        radii.append(
-            max(np.abs(np.linalg.eigvals(m)).max() for m in ((plain, full) if config.observer == "ts" else (plain,)))
+    arx, observer = gains.arx, gains.observer
+    strongest = jnp.maximum(observer.alpha_f1, observer.alpha_f3)
+    on = [0.0, 1.0] if config.observer == "ts" else [0.0]
+
+    def one(xi_a, xi_b, kappa_a, kappa_b, alpha_p, alpha_i, alpha_f, leak, on):  # noqa: ANN001, ANN202
+        (a_a, b_a), (a_b, b_b) = bank_matrices(xi_a, config.order_a), bank_matrices(xi_b, config.order_b)
+        square = config.dt**2
+        read = jnp.concatenate([kappa_a, kappa_b[0] / square])
+        na, nb = config.order_a, config.order_b
+        zeros = lambda *shape: jnp.zeros(shape, read.dtype)  # noqa: E731
+        angle = jnp.concatenate([a_a, zeros(na, nb)], 1) + (1 - alpha_p) * jnp.outer(b_a, read)
+        return jnp.block(
+            [
+                [angle, zeros(na, 2)],
+                [zeros(nb, na), a_b, b_b[:, None], on * b_b[:, None]],
+                [-alpha_i * square * read[None], jnp.ones((1, 1), read.dtype), zeros(1, 1)],
+                [-on * alpha_f * square * read[None], zeros(1, 1), jnp.reshape(1 - leak, (1, 1)) * on],
+            ]
         )
-    return np.array(radii)
 
-
-def bank_matrices(xi: float, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """A [order, order] and b [order] of one Laguerre bank, Eq. (5), as matrices."""
-    i, j = np.indices((order, order))
-    below = (1 - xi**2) * (-xi) ** np.maximum(i - j - 1, 0)
-    return np.where(i == j, xi, np.where(j < i, below, 0.0)), np.sqrt(1 - xi**2) * (-xi) ** np.arange(order)
-
-
-def _error_matrix(config: Config, gains: Gains, joint: int, *, fuzzy: bool) -> np.ndarray:
-    """State matrix of (x, psi_PI, psi_F) for a zero reading: what an error turns into in one tick."""
-
-    def value(leaf: object) -> float:
-        return float(np.asarray(leaf)[joint])
-
-    (a_a, b_a), (a_b, b_b) = (
-        bank_matrices(value(xi), order) for xi, order in ((gains.arx.xi_a, config.order_a), (gains.arx.xi_b, config.order_b))
-    )
-    na, nb, observer = config.order_a, config.order_b, gains.observer
-    kappa = np.concatenate([np.asarray(gains.arx.kappa_a)[joint], np.asarray(gains.arx.kappa_b)[joint, 0]]).astype(float)
-    size = na + nb + (2 if fuzzy else 1)
-    matrix = np.zeros((size, size))
-    matrix[:na, :na], matrix[na : na + nb, na : na + nb] = a_a, a_b
-    matrix[:na, : na + nb] += (1 - value(observer.alpha_p)) * np.outer(b_a, kappa)
-    matrix[na : na + nb, na + nb :] = b_b[:, None]
-    matrix[na + nb, : na + nb], matrix[na + nb, na + nb] = -value(observer.alpha_i) * kappa, 1.0
-    if fuzzy:
-        matrix[-1, : na + nb] = -max(value(observer.alpha_f1), value(observer.alpha_f3)) * kappa
-        matrix[-1, -1] = 1 - value(observer.leak)
-    return matrix
+    joints = jax.vmap(one, in_axes=(0,) * 8 + (None,))
+    leaves = (arx.xi_a, arx.xi_b, arx.kappa_a, arx.kappa_b, observer.alpha_p, observer.alpha_i, strongest, observer.leak)
+    return jnp.stack([joints(*leaves, jnp.asarray(case, arx.xi_a.dtype)) for case in on])

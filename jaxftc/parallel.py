@@ -1,0 +1,39 @@
+"""Scenarios over devices: the last axis is split, nothing is exchanged while a run lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+
+AXIS = "scenarios"
+
+
+def over_scenarios(fun: Callable[[Any, Any], Any], count: int) -> Callable[[Any, Any], Any]:
+    """``fun(shared, split)`` with the last axis of every leaf of ``split``, and of the result, spread over the devices.
+
+    Uses the largest number of devices that divides ``count``, the number of scenarios. Differentiable in ``split``.
+    """
+    devices = jax.local_devices()
+    use = next(d for d in range(min(len(devices), count), 0, -1) if count % d == 0)
+    if use == 1:
+        return fun
+    mesh = Mesh(np.asarray(devices[:use]), (AXIS,))
+
+    def last_axis(leaf: Any) -> PartitionSpec:
+        return PartitionSpec(*[None] * (leaf.ndim - 1), AXIS)
+
+    def call(shared: Any, split: Any) -> Any:
+        shape = jax.eval_shape(fun, shared, split)
+        return jax.shard_map(
+            fun,
+            mesh=mesh,
+            in_specs=(PartitionSpec(), jax.tree.map(last_axis, split)),
+            out_specs=jax.tree.map(last_axis, shape),
+            check_vma=False,
+        )(shared, split)
+
+    return call

@@ -1,0 +1,76 @@
+"""Gradient descent through the closed loop. The one file that imports optax."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxftc.compile import jit
+from jaxftc.faults.scenario import Scenario
+from jaxftc.types import Array
+from tuning.problem import Problem
+from tuning.transform import REACH, Space
+
+OPTIMIZERS: dict[str, Callable[..., optax.GradientTransformation]] = {
+    "adam": functools.partial(optax.adam, b2=0.99),
+    "lion": optax.lion,
+    "sgd": functools.partial(optax.sgd, momentum=0.9, nesterov=True),
+}
+WARM_UP = 0.05  # of the steps
+LAST_RATE = 0.1  # of the learning rate
+
+
+class State(NamedTuple):
+    """What the next step needs."""
+
+    theta: Array  # [size]
+    optimizer: optax.OptState
+    rate: Array  # [] 1, factor on the learning rate; falls with every recovery
+
+
+class Steps(NamedTuple):
+    """A round of steps."""
+
+    terms: Array  # [steps, terms] means over the batch
+    gradient_norm: Array  # [steps]
+    cut: Array  # [steps] share of the scenarios whose gradient was not finite
+
+
+class Descent:
+    """Steps of an optax optimiser, a round at a time as one scan.
+
+    Clipping is by scenario (``Problem.slope``), then by the norm of the whole step; the learning rate warms up and decays as
+    a cosine; theta stays within ``REACH``.
+    """
+
+    def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: str, rate: float, steps: int) -> None:
+        warm = max(1, round(WARM_UP * steps))
+        schedule = optax.warmup_cosine_decay_schedule(rate / 3, rate, warm, max(steps, warm + 1), LAST_RATE * rate)
+        self.optimizer = optax.chain(optax.clip_by_global_norm(1.0), OPTIMIZERS[optimizer](schedule))
+        slope = problem.slope(space, mode)
+
+        def one(state: State, x: tuple[Array, Scenario, Array]) -> tuple[State, Steps]:
+            terms, slopes = slope(state.theta, *x)
+            gradient = slopes.mean(1)
+            change, inner = self.optimizer.update(gradient, state.optimizer, state.theta)
+            theta = jnp.clip(state.theta + state.rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
+            info = Steps(terms.mean(1), optax.global_norm(gradient), (slopes == 0).all(0).mean())
+            return State(theta, inner, state.rate), info
+
+        self._round = jit(lambda state, xs: jax.lax.scan(one, state, xs))
+
+    def init(self, theta: np.ndarray, rate: float = 1.0) -> State:
+        """Start, or start again, from theta [size]."""
+        point = jnp.asarray(theta, float)
+        return State(point, self.optimizer.init(point), jnp.asarray(rate, point.dtype))
+
+    def round(self, state: State, widen: np.ndarray, scenarios: Scenario, start: np.ndarray) -> tuple[State, Steps]:
+        """``len(widen)`` steps; scenarios [steps, ..., B] and the terms of the starting gains on them [steps, terms, B]."""
+        dtype = state.theta.dtype
+        return self._round(state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))

@@ -1,0 +1,105 @@
+"""What is minimised: weighted terms of simulated scenarios, as compiled programs over all devices.
+
+The objective is the weighted sum of the terms' means. The loss that every method follows is the objective plus a guard: what
+a term is worse by than with the starting gains, on the same scenarios and the same noise, counts ``GUARD`` times on top, so
+that no term pays for the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.closed_loop import simulate
+from jaxftc.compile import jit
+from jaxftc.config import Config
+from jaxftc.faults.scenario import Scenario, trail
+from jaxftc.gains import Gains
+from jaxftc.parallel import over_scenarios
+from jaxftc.types import Array
+from tuning.terms import Run, Term
+from tuning.transform import Space
+
+GUARD = 2.0
+LOST = 10.0  # what every term of a run that diverged counts
+CLIP = 1.0  # largest norm of one scenario's gradient, per unit of theta
+DIFFERENCE = 0.02  # step of finite differences in theta
+MODES = ("reverse", "forward", "finite")
+
+
+class Problem:
+    """The objective of a config, compiled once for runs of ``batch`` scenarios.
+
+    Scenarios have a leading axis, as sampled; the noise of each depends on ``key`` and its id alone, so that any two sets of
+    gains are compared run by run.
+    """
+
+    def __init__(self, config: Config, objective: Mapping[str, Term], key: Array, batch: int) -> None:
+        self.config, self.objective, self.key, self.batch = config, dict(objective), key, batch
+        self.names = tuple(self.objective)
+        self.weights = np.array([term.weight for term in self.objective.values()], float)
+        self._run = over_scenarios(lambda gains, scenarios: self.terms(gains, scenarios), batch)
+        self._scores = jit(self._run)
+
+    def scores(self, gains: Gains, scenarios: Scenario) -> np.ndarray:
+        """Terms [terms, scenarios] of one set of gains, in pieces of ``batch`` scenarios; the last piece is filled up."""
+        count = len(scenarios.id)
+        pieces = []
+        for first in range(0, count, self.batch):
+            rows = np.arange(first, first + self.batch) % count
+            pieces.append(self._scores(gains, trail(jax.tree.map(lambda leaf: np.asarray(leaf)[rows], scenarios))))  # noqa: B023
+        return np.concatenate([np.asarray(piece) for piece in pieces], axis=1)[:, :count].astype(float)
+
+    def total(self, scores: np.ndarray) -> float:
+        """The objective from terms [terms, scenarios]."""
+        return float(self.weights @ scores.mean(1))
+
+    def loss(self, scores: np.ndarray, start: np.ndarray) -> float:
+        """Objective and guard, from terms [terms, scenarios] and those of the starting gains on the same scenarios."""
+        return float(self.weights @ (scores.mean(1) + GUARD * np.maximum(scores.mean(1) - start.mean(1), 0.0)))
+
+    def terms(self, gains: Gains, scenarios: Scenario) -> Array:
+        """Terms [terms, B] of scenarios with a trailing axis, traced; gains may carry the same axis."""
+        run = Run(self.config, gains, scenarios, simulate(self.config, gains, scenarios, self.key))
+        values = jnp.stack([jnp.broadcast_to(term.value(run), scenarios.id.shape) for term in self.objective.values()])
+        return jnp.where(jnp.isfinite(values), values, LOST)
+
+    def slope(self, space: Space, mode: str) -> Callable[[Array, Array, Scenario, Array], tuple[Array, Array]]:
+        """(theta, widen, scenarios, start terms) -> (terms [terms, B], gradients of the loss [size, B], one a scenario).
+
+        To be traced. ``mode`` is how gradients are found: ``reverse``, ``forward`` (a run with tangents for each entry of
+        theta: for few gains) or ``finite`` differences. A gradient that is not finite counts as 0, one longer than ``CLIP``
+        is cut to that: one run that hits a limit must not turn the whole step.
+        """
+        run = over_scenarios(lambda widen, split: self.terms(space.gains(split[0], widen), split[1]), self.batch)
+
+        def call(theta: Array, widen: Array, scenarios: Scenario, start: Array) -> tuple[Array, Array]:
+            def at(points: Array) -> Array:
+                return run(widen, (points, scenarios))
+
+            def copies(vector: Array) -> Array:
+                return jnp.broadcast_to(vector[:, None], (vector.size, self.batch))
+
+            if mode == "reverse":
+                terms, pull = jax.vjp(at, copies(theta))
+                slopes = pull(jnp.broadcast_to(self._pull(terms, start)[:, None], terms.shape))[0]
+            else:
+                terms = at(copies(theta))
+                if mode == "forward":
+                    change = lambda d: jax.jvp(at, (copies(theta),), (copies(d),))[1]  # noqa: E731
+                else:
+                    change = lambda d: (at(copies(theta + DIFFERENCE * d)) - terms) / DIFFERENCE  # noqa: E731
+                changes = jax.lax.map(change, jnp.eye(theta.size, dtype=theta.dtype))
+                slopes = jnp.einsum("k,pkb->pb", self._pull(terms, start), changes)
+            length = jnp.sqrt((slopes * slopes).sum(0))
+            return terms, jnp.where(jnp.isfinite(length), slopes * jnp.minimum(1.0, CLIP / (length + 1e-12)), 0.0)
+
+        return call
+
+    def _pull(self, terms: Array, start: Array) -> Array:
+        """Derivative [terms] of the loss by the mean of each term."""
+        worse = terms.mean(1) > start.mean(1)
+        return jnp.asarray(self.weights, terms.dtype) * (1 + GUARD * worse)

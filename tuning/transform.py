@@ -1,0 +1,206 @@
+"""Tuning works on one unconstrained vector theta; this is what it means in gains.
+
+Every free gain has a transform of its own, chosen by its limits (``jaxftc.gains``), under which any theta gives allowed
+gains. theta is 0 at the start, and one unit is a natural step:
+
+* a gain without an upper limit moves by factors: g = start exp(theta). A start of 0 is moved to ``SMALLEST``;
+* a gain in an interval moves by odds: logit of its place in it. A start at an end is moved inside by ``INSET``;
+* set centres, which must increase, move by the log of their gaps, the first one by gaps;
+* both Laguerre poles move as one, ``arx.xi_a``, by odds within (-1, 1); the read-out kappa is then that of the exact model.
+
+The search is bounded, for every method alike, by |theta| <= ``REACH``: a factor of 20 in gain, odds or gap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import arx, checks
+from jaxftc.config import Config
+from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
+from jaxftc.gains import check as check_gains
+from jaxftc.identify.readout import rounded, with_kappa
+from jaxftc.types import Array
+
+REACH = math.log(20.0)
+INSET = 1e-3  # of the interval
+SMALLEST = {"control.k_b": 0.1}  # 1/s; everything else starts above 0
+POLES = "arx.xi_a"
+SETS = ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")
+FUZZY_OBSERVER = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths")
+FUZZY_OBSERVER += ("jump_centres", "jump_widths")
+
+
+def idle(config: Config) -> set[str]:
+    """Gains that a config does not use, so that changing them does nothing."""
+    unused: dict[str, tuple[str, ...]] = {"observer": (), "control": ()}
+    if config.observer != "ts":
+        unused["observer"] += FUZZY_OBSERVER
+    if config.observer == "pi":
+        unused["observer"] += ("alpha_sm", "alpha_sm0", "eps")
+    unused["control"] += ("alpha_sm2",) if config.control == "smc" else ("alpha_sm",)
+    if config.control != "afesmc":
+        unused["control"] += SETS
+    return {f"{block}.{name}" for block, names in unused.items() for name in names}
+
+
+def tunable(config: Config) -> tuple[str, ...]:
+    """Names of all gains that can be tuned with a config, in order."""
+    every = [f"{block}.{name}" for block, name, _ in specs() if block != "arx" or f"{block}.{name}" == POLES]
+    poles_follow = config.input == "rigid_body"
+    return tuple(name for name in every if name not in idle(config) and (name != POLES or poles_follow))
+
+
+def select(config: Config, only: Iterable[str] = (), freeze: Iterable[str] = ()) -> tuple[str, ...]:
+    """Names of the free gains: those of ``only`` (all but the poles if empty) less those of ``freeze``.
+
+    A block's name stands for all its gains.
+
+    Raises:
+        ValueError: an unknown name, a gain that this config does not use, or nothing left to tune.
+    """
+    allowed = tunable(config)
+    chosen = _expand(config, only) or {name for name in allowed if name != POLES}
+    left = chosen - _expand(config, freeze)
+    if not left:
+        raise ValueError("every gain is frozen, so there is nothing to tune; free at least one")
+    return tuple(name for name in allowed if name in left)
+
+
+def _expand(config: Config, names: Iterable[str]) -> set[str]:
+    allowed, unused = tunable(config), idle(config)
+    found: set[str] = set()
+    for name in names:
+        if name in unused:
+            raise ValueError(f"gain {name!r} does nothing with observer {config.observer!r} and control {config.control!r}")
+        members = {gain for gain in allowed if gain.split(".")[0] == name}
+        if not members:
+            checks.one_of("gain", name, (*allowed, *BLOCKS))
+        found |= members or {name}
+    return found
+
+
+class _Leaf(NamedTuple):
+    """One free gain: its place in theta and where it started."""
+
+    block: str
+    name: str
+    part: slice  # of theta
+    shape: tuple[int, ...]  # of its part of theta; one number for a shared gain
+    spec: Spec
+    start: np.ndarray  # in the coordinates of ``_to_free``
+    gap: float  # mean gap of set centres at the start
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Space:
+    """The free gains as one vector theta [size]; theta = 0 is the start."""
+
+    config: Config
+    start: Gains
+    leaves: tuple[_Leaf, ...]
+    size: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free gains."""
+        return tuple(f"{leaf.block}.{leaf.name}" for leaf in self.leaves)
+
+    def gains(self, theta: Array, widen: Array | float = 1.0) -> Gains:
+        """Gains at theta [size], or at [size, scenarios] one set a scenario on a trailing axis; differentiable.
+
+        ``widen`` is a factor on the widths of both smooth signs, by which tuning can begin with a smoother loop.
+        """
+        move = self._moved if theta.ndim == 1 else jax.vmap(self._moved, in_axes=1, out_axes=-1)
+        moved = move(theta)
+        blocks = {block: dataclasses.replace(getattr(self.start, block), **moved.get(block, {})) for block in BLOCKS}
+        for block in ("observer", "control"):
+            blocks[block] = dataclasses.replace(blocks[block], eps=widen * blocks[block].eps)
+        return Gains(**blocks)
+
+    def _moved(self, theta: Array) -> dict[str, dict[str, Array]]:
+        """The gains that theta moves, by block and name."""
+        moved: dict[str, dict[str, Array]] = {}
+        for leaf in self.leaves:
+            free = jnp.asarray(leaf.start, theta.dtype) + theta[leaf.part].reshape(leaf.shape)
+            value = _from_free(leaf, free).astype(theta.dtype)
+            moved.setdefault(leaf.block, {})[leaf.name] = value
+            if f"{leaf.block}.{leaf.name}" == POLES:
+                kappa_a, kappa_b = arx.exact_kappa(value, self.config.order_a, self.config.order_b, self.config.dt)
+                moved["arx"] |= {"xi_b": value, "kappa_a": kappa_a, "kappa_b": kappa_b[:, None]}
+        return moved
+
+    def deploy(self, theta: np.ndarray, widen: float = 1.0) -> Gains:
+        """Gains at theta [size] as they are saved: checked, the start itself where nothing moved, the read-out rounded."""
+        if not np.any(theta) and widen == 1.0:
+            return self.start
+        gains = self.gains(jnp.asarray(theta, self.start.arx.xi_a.dtype), widen)
+        if POLES in self.names:
+            with jax.enable_x64(True):
+                xi = jnp.asarray(np.asarray(gains.arx.xi_a, float))
+                kappa_a, kappa_b = map(np.asarray, arx.exact_kappa(xi, self.config.order_a, self.config.order_b, self.config.dt))
+            kappa = np.concatenate([kappa_a, kappa_b, np.zeros((self.config.n, 1))], axis=1)
+            gains = with_kappa(self.config, gains, rounded(self.config, gains.arx, kappa))
+        check_gains(self.config, gains)
+        return gains
+
+
+def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[str] = ()) -> Space:
+    """Theta for the gains named in ``free``; those in ``shared`` move on all joints alike, the rest joint by joint.
+
+    Raises:
+        ValueError: the start is not allowed, a name is unknown, or poles are free that the read-out cannot follow.
+    """
+    check_gains(config, start)
+    free, shared = select(config, free), _expand(config, shared)
+    if any(leaf.ndim != len(spec.axes) for (_, _, spec), leaf in zip(specs(), jax.tree.leaves(start), strict=True)):
+        raise ValueError("tuning starts from one set of gains; these have scenario axes of their own")
+    if POLES in free and not np.array_equal(start.arx.xi_a, start.arx.xi_b):
+        raise ValueError(f"{POLES} can be tuned where both banks have the same pole, got arx.xi_a and arx.xi_b that differ")
+    leaves: list[_Leaf] = []
+    size = 0
+    for block, name, spec in specs():
+        path = f"{block}.{name}"
+        if path not in free:
+            continue
+        value = np.asarray(getattr(getattr(start, block), name), float)
+        gap = float(np.diff(value).mean()) if name in INCREASING else 1.0
+        at = _to_free(name, spec, value, gap, SMALLEST.get(path, 0.0))
+        shape = (1,) * at.ndim if path in shared and spec.axes == ("n",) else shape_of(config, spec)
+        count = math.prod(shape)
+        leaves.append(_Leaf(block, name, slice(size, size + count), shape, spec, at, gap))
+        size += count
+    return Space(config, start, tuple(leaves), size)
+
+
+def _bounds(name: str, spec: Spec) -> tuple[float, float]:
+    return (-1.0, 1.0) if name == "xi_a" else (spec.low, spec.high)
+
+
+def _to_free(name: str, spec: Spec, value: np.ndarray, gap: float, smallest: float) -> np.ndarray:
+    """Free coordinates of a gain."""
+    low, high = _bounds(name, spec)
+    if name in INCREASING:
+        return np.concatenate([value[:1] / gap, np.log(np.diff(value))])
+    if math.isinf(high):
+        return np.log(np.maximum(value - low, smallest))
+    place = np.clip((value - low) / (high - low), INSET, 1 - INSET)
+    return np.log(place / (1 - place))
+
+
+def _from_free(leaf: _Leaf, free: Array) -> Array:
+    """The gain at free coordinates; inverse of ``_to_free`` inside the limits."""
+    low, high = _bounds(leaf.name, leaf.spec)
+    if leaf.name in INCREASING:
+        first = leaf.gap * free[:1]
+        return jnp.concatenate([first, first + jnp.cumsum(jnp.exp(free[1:]))])
+    if math.isinf(high):
+        return low + jnp.exp(free)
+    return low + (high - low) * jax.nn.sigmoid(free)
