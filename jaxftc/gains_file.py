@@ -18,7 +18,7 @@ from jaxftc.version import __version__
 
 def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
     """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds what they belong to."""
-    table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else _header(config))}
+    table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else header(config))}
     for block, name, spec in specs():
         value = np.asarray(getattr(getattr(gains, block), name))
         value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
@@ -42,7 +42,7 @@ def load_gains(path: str | Path, config: Config) -> Gains:
             f"{path}: {strays[0]!r} must be a table of gains, got {table[strays[0]]!r}; write it with save_gains"
         )
     made_with = table.pop("made_with", {})
-    ours = _header(config)
+    ours = header(config)
     other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
     if other:
         raise ValueError(f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with")
@@ -61,7 +61,7 @@ def load_gains(path: str | Path, config: Config) -> Gains:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _header(config: Config) -> dict[str, Any]:
+def header(config: Config) -> dict[str, Any]:
     """What gains belong to."""
     return {
         "robot": config.robot.name,

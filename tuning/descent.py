@@ -68,9 +68,10 @@ class Descent:
     def init(self, theta: np.ndarray, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""
         point = jnp.asarray(theta, float)
-        return State(point, self.optimizer.init(point), jnp.asarray(rate, point.dtype))
+        return jax.tree.map(np.asarray, State(point, self.optimizer.init(point), jnp.asarray(rate, point.dtype)))
 
     def round(self, state: State, widen: np.ndarray, scenarios: Scenario, start: np.ndarray) -> tuple[State, Steps]:
         """``len(widen)`` steps; scenarios [steps, ..., B] and the terms of the starting gains on them [steps, terms, B]."""
         dtype = state.theta.dtype
-        return self._round(state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))
+        done = self._round(state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))
+        return jax.tree.map(np.asarray, done)  # off the devices: as it came, so that the next round is the same program

@@ -63,7 +63,7 @@ def _limit(run: Run) -> Array:
 
 
 def _share(x: Array) -> Array:
-    """x / (1 + x): of something over its tolerance; below 1, so that runs beyond hope do not outvote the others."""
+    """Share x / (1 + x) of something x over its tolerance; below 1, so that runs beyond hope do not outvote the others."""
     return x / (1 + x)
 
 
@@ -117,7 +117,7 @@ def alarms(run: Run) -> Alarms:
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
     t = run.trace.t.reshape(-1, *[1] * onset.ndim)
-    return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratio, *faulty, t - onset, clear - t)
+    return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratio, faulty[0], faulty[1], t - onset, clear - t)
 
 
 def delay(run: Run) -> Array:

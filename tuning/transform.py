@@ -26,7 +26,7 @@ from jaxftc import arx, checks
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
 from jaxftc.gains import check as check_gains
-from jaxftc.identify.readout import rounded, with_kappa
+from jaxftc.identify.readout import exact
 from jaxftc.types import Array
 
 REACH = math.log(20.0)
@@ -143,11 +143,7 @@ class Space:
             return self.start
         gains = self.gains(jnp.asarray(theta, self.start.arx.xi_a.dtype), widen)
         if POLES in self.names:
-            with jax.enable_x64(True):
-                xi = jnp.asarray(np.asarray(gains.arx.xi_a, float))
-                kappa_a, kappa_b = map(np.asarray, arx.exact_kappa(xi, self.config.order_a, self.config.order_b, self.config.dt))
-            kappa = np.concatenate([kappa_a, kappa_b, np.zeros((self.config.n, 1))], axis=1)
-            gains = with_kappa(self.config, gains, rounded(self.config, gains.arx, kappa))
+            gains = exact(self.config, gains)
         check_gains(self.config, gains)
         return gains
 

@@ -136,6 +136,19 @@ def total(gains: ArxGains) -> np.ndarray:
     return np.sqrt((1 - xi) / (1 + xi))
 
 
+def exact(config: Config, gains: Gains, read_in: np.ndarray | None = None) -> Gains:
+    """Gains with the read-out of the exact double integrator for their poles, as their precision holds it.
+
+    ``read_in`` [n, inputs] is the acceleration that each input gives; v is one already. Both banks need the same poles.
+    """
+    with jax.enable_x64(True):  # the parts differ by a factor of dt^2
+        xi = jnp.asarray(np.asarray(gains.arx.xi_a, float))
+        kappa_a, kappa_b = map(np.asarray, arx.exact_kappa(xi, config.order_a, config.order_b, config.dt))
+    read_in = np.ones((config.n, 1)) if read_in is None else read_in
+    parts = (kappa_a, (read_in[:, :, None] * kappa_b[:, None]).reshape(config.n, -1), np.zeros((config.n, 1)))
+    return with_kappa(config, gains, rounded(config, gains.arx, np.concatenate(parts, axis=1)))
+
+
 def rounded(config: Config, gains: ArxGains, kappa: np.ndarray) -> np.ndarray:
     """Kappa [n, features] as the precision of the gains holds it, the sum of kappa_a kept.
 

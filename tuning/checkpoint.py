@@ -1,0 +1,83 @@
+"""The state of a tuning run between two rounds, as one file that is whole or not there."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxftc.faults.scenario import Scenario
+from jaxftc.files import aside
+from jaxftc.gains_file import header
+from jaxftc.version import __version__
+from tuning.problem import Problem
+from tuning.settings import Settings
+from tuning.transform import Space
+
+NAME = "checkpoint.npz"
+
+
+def identity(problem: Problem, space: Space, training: Scenario, validation: Scenario, settings: Settings) -> dict[str, Any]:
+    """What must be the same for a run to go on: everything that its result depends on."""
+    config = problem.config
+    structure = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.name != "robot"}
+    return {
+        "version": __version__,
+        "config": header(config) | structure,
+        "settings": {name: list(v) if isinstance(v, tuple) else v for name, v in dataclasses.asdict(settings).items()},
+        "free gains": [*space.names, space.size],
+        "objective": {name: term.weight for name, term in problem.objective.items()},
+        "start": _digest(space.start),
+        "scenarios": _digest((training, validation)),
+        "key": _digest(jax.random.key_data(problem.key)),
+        "devices": jax.local_device_count(),
+    }
+
+
+def write(path: Path, identity: dict[str, Any], arrays: dict[str, Any]) -> None:
+    """Write the state aside, then rename it."""
+    with aside(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, identity=np.array(json.dumps(identity)), **arrays)
+
+
+def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
+    """The state, or None where there is none.
+
+    Raises:
+        ValueError: the file is not a checkpoint, or of a run with other settings.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+        found = json.loads(str(arrays.pop("identity")))
+    except (OSError, ValueError, KeyError, EOFError) as error:
+        raise ValueError(f"{path} is no checkpoint of a tuning run ({error}); give another folder") from error
+    other = [name for name in identity if found.get(name) != identity[name]]
+    if other:
+        changes = [
+            f"{key} {theirs.get(key)!r}, here {ours[key]!r}"
+            for name in other
+            if isinstance(ours := identity[name], dict) and isinstance(theirs := found.get(name), dict)
+            for key in ours
+            if theirs.get(key) != ours[key]
+        ]
+        details = f" ({', '.join(changes)})" if changes else ""
+        raise ValueError(
+            f"{path} belongs to a run with another {', another '.join(other)}{details}; "
+            "give the same options to go on with it, or another folder"
+        )
+    return arrays
+
+
+def _digest(tree: Any) -> str:
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(tree):
+        digest.update(np.ascontiguousarray(leaf).tobytes())
+    return digest.hexdigest()[:16]

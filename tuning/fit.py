@@ -1,0 +1,222 @@
+"""``fit``: gains for a batch of scenarios. One loop for every method: a round, a validation, a checkpoint.
+
+The best gains on the validation scenarios are the answer. A round after which the loss has run away is undone: back to the
+best gains, with a lower rate; what happened is kept in ``Result.events``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxftc.closed_loop import check as check_scenario
+from jaxftc.config import Config
+from jaxftc.faults.scenario import Scenario
+from jaxftc.gains import Gains
+from jaxftc.types import Array
+from tuning import checkpoint, methods, transform
+from tuning.problem import LOST, Problem
+from tuning.settings import Settings
+from tuning.terms import OBJECTIVE, Term
+
+RUNAWAY = 2.0  # times the starting loss
+RECOVERIES = 3
+
+
+class Progress(NamedTuple):
+    """Where a run stands after a round."""
+
+    step: int  # steps (or generations) done
+    steps: int  # that there can be
+    simulations: int  # closed-loop simulations spent, validation included
+    seconds: float
+    loss: float  # on the last batch, of the objective without guard
+    gradient_norm: float  # per scenario clipped; nan for a method without one
+    validation: float  # loss on the validation scenarios, guard included
+    best: float  # the lowest of those
+
+
+class Result(NamedTuple):
+    """What came of a run."""
+
+    gains: Gains
+    best_step: int  # of the gains
+    history: dict[str, np.ndarray]  # a row a round: the fields of Progress, and ``term_<name>`` on the last batch
+    events: list[str]  # recoveries
+    stopped: str  # why it ended
+    simulations: int
+    seconds: float
+    steps: int
+
+
+def fit(
+    config: Config,
+    gains: Gains,
+    scenarios: Scenario,
+    *,
+    key: Array,
+    validation: Scenario | None = None,
+    objective: Mapping[str, Term] = OBJECTIVE,
+    only: Iterable[str] = (),
+    freeze: Iterable[str] = (),
+    shared: Iterable[str] = (),
+    settings: Settings = Settings(),  # noqa: B008 (frozen)
+    folder: Path | None = None,
+    on_round: Callable[[Progress], object] = lambda progress: None,
+) -> Result:
+    """Tune gains on scenarios with a leading axis, as ``jaxftc.sample_scenarios`` gives them.
+
+    ``only``, ``freeze`` and ``shared`` name gains (``observer.alpha_i``) or blocks (``control``): what is tuned (all that
+    the config uses but the poles, if empty), what is not, what moves on all joints alike. Without ``validation`` a quarter
+    of the scenarios is kept back for it. With a ``folder``, a checkpoint is written there after every round, and a run that
+    finds one goes on from it, to the same gains bit for bit.
+
+    Raises:
+        ValueError: an unknown or unused gain, nothing to tune, no or too few scenarios, start gains that are not allowed or
+            with which every run diverges, an objective without terms, or a checkpoint of another run.
+    """
+    space = transform.space(config, gains, transform.select(config, only, freeze), shared)
+    training, validation = _split(config, gains, scenarios, validation, settings)
+    if not objective:
+        raise ValueError("the objective has no terms; give at least one, or tuning.OBJECTIVE")
+    problem = Problem(config, objective, key, settings.batch)
+    run = _Run(problem, space, training, validation, settings)
+    if folder is not None:
+        run.resume_from(folder / checkpoint.NAME)
+    while not run.stopped:
+        on_round(run.round())
+        if folder is not None:
+            checkpoint.write(folder / checkpoint.NAME, run.identity, run.pack())
+    return run.result()
+
+
+def _split(
+    config: Config, gains: Gains, scenarios: Scenario, validation: Scenario | None, settings: Settings
+) -> tuple[Scenario, Scenario]:
+    """(training, validation), as NumPy arrays."""
+    scenarios = jax.tree.map(np.asarray, scenarios)
+    kept: Scenario
+    if np.ndim(scenarios.id) != 1 or not len(scenarios.id):
+        raise ValueError(
+            f"scenarios must be a set of at least one with a leading axis, got ids of shape {np.shape(scenarios.id)}; "
+            "draw them with jaxftc.sample_scenarios"
+        )
+    if validation is None:
+        count = min(settings.validation, len(scenarios.id) // 4)
+        if not count:
+            raise ValueError(f"{len(scenarios.id)} scenarios are too few to keep some back for validation; give at least 4")
+        kept = jax.tree.map(lambda leaf: leaf[-count:], scenarios)
+        scenarios = jax.tree.map(lambda leaf: leaf[:-count], scenarios)
+    else:
+        kept = jax.tree.map(np.asarray, validation)
+    for part in (scenarios, kept):
+        check_scenario(config, gains, jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), part))
+    return scenarios, kept
+
+
+class _Run:
+    """The loop's state between rounds."""
+
+    def __init__(
+        self, problem: Problem, space: transform.Space, training: Scenario, validation: Scenario, settings: Settings
+    ) -> None:
+        self.problem, self.space, self.validation, self.settings = problem, space, validation, settings
+        self.identity = checkpoint.identity(problem, space, training, validation, settings)
+        self.began = time.monotonic()
+        self.before = problem.scores(space.start, validation)
+        if (self.before == LOST).all():
+            raise ValueError("every run diverges with the starting gains; start from other gains or smaller faults")
+        self.method = methods.make(problem, space, training, settings)
+        self.start_loss = self.best = problem.loss(self.before, self.before)
+        self.best_theta, self.best_step = np.zeros(space.size), 0
+        self.index, self.stale, self.recoveries = 0, 0, 0
+        self.rows: list[list[float]] = []
+        self.events: list[str] = []
+        self.stopped = ""
+
+    def round(self) -> Progress:
+        """One round, its validation and what follows from it."""
+        terms, norm = self.method.round(self.index)
+        self.index += 1
+        step = self.index * self.method.steps
+        theta = self.method.theta
+        scores = self.problem.scores(self.space.deploy(theta, self.settings.anneal[1]), self.validation)
+        loss = self.problem.loss(scores, self.before)
+        if loss < self.best:
+            self.best, self.best_theta, self.best_step, self.stale, self.recoveries = loss, theta, step, 0, 0
+        else:
+            self.stale += 1
+        progress = Progress(
+            step,
+            self.method.rounds * self.method.steps,
+            self.index * (self.method.cost + len(self.validation.id)) + len(self.validation.id),
+            time.monotonic() - self.began,
+            float(self.problem.weights @ terms),
+            norm,
+            loss,
+            self.best,
+        )
+        self.rows.append([*progress, *terms])
+        if loss > RUNAWAY * self.start_loss:
+            self._recover(step, loss, scores)
+        elif self.stale >= self.settings.patience:
+            self.stopped = f"no better validation in {self.stale} rounds"
+        if self.index == self.method.rounds and not self.stopped:
+            self.stopped = "all steps done"
+        return progress
+
+    def _recover(self, step: int, loss: float, scores: np.ndarray) -> None:
+        """Undo what has run away; after too many times, stop and say which term it was."""
+        worst = int(np.argmax(self.problem.weights * (scores.mean(1) - self.before.mean(1))))
+        what = f"{self.problem.names[worst]} rose from {self.before[worst].mean():.3g} to {scores[worst].mean():.3g}"
+        self.recoveries += 1
+        self.events.append(
+            f"step {step}: the loss ran away to {loss:.3g} ({what}); back to the gains of step {self.best_step}"
+        )
+        if self.recoveries > RECOVERIES:
+            self.stopped = f"the loss ran away {self.recoveries} times, last because {what}; lower learning_rate"
+        self.method.restart(self.best_theta)
+
+    def result(self) -> Result:
+        """The best gains, and how they were found."""
+        columns = [*Progress._fields, *(f"term_{name}" for name in self.problem.names)]
+        table = np.array(self.rows).reshape(-1, len(columns))
+        history = dict(zip(columns, table.T, strict=True))
+        return Result(
+            gains=self.space.deploy(self.best_theta, self.settings.anneal[1] if self.best_step else 1.0),
+            best_step=self.best_step,
+            history=history,
+            events=self.events,
+            stopped=self.stopped,
+            simulations=int(history["simulations"][-1]),
+            seconds=float(history["seconds"][-1]),
+            steps=int(history["step"][-1]),
+        )
+
+    def pack(self) -> dict[str, Any]:
+        """Everything that the next round needs, as arrays and texts."""
+        return {
+            **{f"method_{name}": value for name, value in self.method.pack().items()},
+            "best_theta": self.best_theta,
+            "numbers": np.array([self.best, self.best_step, self.index, self.stale, self.recoveries]),
+            "rows": np.array(self.rows),
+            "texts": np.array([self.stopped, *self.events]),
+        }
+
+    def resume_from(self, path: Path) -> None:
+        """Take over the state of an earlier run, if there is one; its time counts on."""
+        arrays = checkpoint.read(path, self.identity)
+        if arrays is None:
+            return
+        self.method.unpack({name[7:]: value for name, value in arrays.items() if name.startswith("method_")})
+        self.best_theta = arrays["best_theta"]
+        self.best, *counts = arrays["numbers"].tolist()
+        self.best_step, self.index, self.stale, self.recoveries = map(int, counts)
+        self.rows = arrays["rows"].tolist()
+        self.stopped, *self.events = arrays["texts"].tolist()
+        self.began -= self.rows[-1][Progress._fields.index("seconds")]

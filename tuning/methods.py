@@ -1,0 +1,166 @@
+"""The methods behind one contract: rounds of gradient steps, of finite differences, or of a search.
+
+All follow the same loss from the same start, within the same bounds, on the same batches in the same order.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.compile import jit
+from jaxftc.faults.scenario import Scenario
+from jaxftc.gains import Gains
+from tuning import search, transform
+from tuning.descent import Descent
+from tuning.problem import Problem
+from tuning.settings import GRADIENT_COST, Settings, round_length
+
+SLOWER = 0.3  # factor on the learning rate with each recovery
+
+
+def make(problem: Problem, space: transform.Space, training: Scenario, settings: Settings) -> Method:
+    """The method that the settings name, at the start."""
+    batches = Batches(problem, space.start, training)
+    if settings.method in ("gradient", "finite"):
+        return _Descend(problem, space, batches, settings)
+    return _Sample(problem, space, batches, settings)
+
+
+class Method(Protocol):
+    """What the loop needs of a method. Its state is arrays, so that a checkpoint holds all of it."""
+
+    rounds: int
+    steps: int  # in a round
+    cost: int  # simulations of a round
+
+    @property
+    def theta(self) -> np.ndarray:
+        """Its answer so far, [size]."""
+        ...
+
+    def round(self, index: int) -> tuple[np.ndarray, float]:
+        """Do a round: (means of the terms on the last batch, norm of the gradient, nan without one)."""
+        ...
+
+    def pack(self) -> dict[str, np.ndarray]:
+        """Its state between rounds."""
+        ...
+
+    def unpack(self, arrays: dict[str, np.ndarray]) -> None:
+        """Take a state back."""
+        ...
+
+    def restart(self, theta: np.ndarray) -> None:
+        """Go on from theta, more carefully."""
+        ...
+
+
+class Batches:
+    """Training scenarios dealt out in batches: all in turn, shuffled anew each time they are used up."""
+
+    def __init__(self, problem: Problem, start: Gains, scenarios: Scenario) -> None:
+        self.problem, self.start, self.scenarios = problem, start, scenarios
+
+    def rows(self, step: int) -> np.ndarray:
+        """Scenarios [batch] of a step; the same whenever it is asked for."""
+        count, batch = len(self.scenarios.id), self.problem.batch
+        places = np.arange(step * batch, (step + 1) * batch)
+        rows = np.empty(batch, int)
+        for epoch in np.unique(places // count):
+            order = np.arange(count) if epoch == 0 else np.random.default_rng(epoch).permutation(count)
+            rows[places // count == epoch] = order[places[places // count == epoch] % count]
+        return rows
+
+    def take(self, steps: range) -> tuple[Scenario, np.ndarray]:
+        """Scenarios [steps * batch, ...] of some steps, and the terms [terms, steps * batch] of the starting gains."""
+        rows = np.concatenate([self.rows(step) for step in steps])
+        chosen = jax.tree.map(lambda leaf: leaf[rows], self.scenarios)
+        return chosen, self.problem.scores(self.start, chosen)
+
+
+class _Descend:
+    """Gradient and finite differences."""
+
+    def __init__(self, problem: Problem, space: transform.Space, batches: Batches, settings: Settings) -> None:
+        finite = settings.method == "finite"
+        step_cost = settings.batch * (space.size + 1 if finite else GRADIENT_COST)
+        total = max(1, settings.budget // step_cost)
+        self.steps = round_length(total)
+        self.rounds, self.cost = total // self.steps, self.steps * (step_cost + settings.batch)
+        self.batches, self.settings, self.total = batches, settings, total
+        self.descent = Descent(
+            problem,
+            space,
+            mode="finite" if finite else settings.mode,
+            optimizer=settings.optimizer,
+            rate=settings.learning_rate,
+            steps=total,
+        )
+        self.state = self.descent.init(np.zeros(space.size))
+
+    @property
+    def theta(self) -> np.ndarray:
+        return np.asarray(self.state.theta)
+
+    def round(self, index: int) -> tuple[np.ndarray, float]:
+        steps = range(index * self.steps, (index + 1) * self.steps)
+        flat, start = self.batches.take(steps)
+        batch = self.settings.batch
+        scenarios = jax.tree.map(lambda x: np.moveaxis(x.reshape(self.steps, batch, *x.shape[1:]), 1, -1), flat)
+        start = np.moveaxis(start.reshape(-1, self.steps, batch), 0, 1)
+        widen = np.array([self.settings.widen(k / max(self.total - 1, 1)) for k in steps])
+        self.state, info = self.descent.round(self.state, widen, scenarios, start)
+        return np.asarray(info.terms[-1], float), float(info.gradient_norm[-1])
+
+    def pack(self) -> dict[str, np.ndarray]:
+        return {f"leaf{i}": np.asarray(leaf) for i, leaf in enumerate(jax.tree.leaves(self.state))}
+
+    def unpack(self, arrays: dict[str, np.ndarray]) -> None:
+        tree = jax.tree.structure(self.state)
+        self.state = jax.tree.unflatten(tree, [arrays[f"leaf{i}"] for i in range(tree.num_leaves)])
+
+    def restart(self, theta: np.ndarray) -> None:
+        self.state = self.descent.init(theta, rate=SLOWER * float(self.state.rate))
+
+
+class _Sample:
+    """CMA-ES and random search."""
+
+    steps = 1
+
+    def __init__(self, problem: Problem, space: transform.Space, batches: Batches, settings: Settings) -> None:
+        kind = search.Evolution if settings.method == "cmaes" else search.Random
+        self.search = kind(space.size, seed=int(np.asarray(jax.random.key_data(problem.key)).ravel()[-1]))
+        self.rounds = max(1, settings.budget // (self.search.population * settings.batch))
+        self.cost = (self.search.population + 1) * settings.batch
+        self.batches, self.problem = batches, problem
+        self.gains = jit(lambda theta: space.gains(theta, settings.anneal[1]))
+
+    @property
+    def theta(self) -> np.ndarray:
+        return self.search.theta
+
+    def round(self, index: int) -> tuple[np.ndarray, float]:
+        scenarios, start = self.batches.take(range(index, index + 1))
+        terms: list[np.ndarray] = []
+
+        def judge(theta: np.ndarray) -> float:
+            scores = self.problem.scores(self.gains(jnp.asarray(theta, float)), scenarios)
+            terms.append(scores.mean(1))
+            return self.problem.loss(scores, start)
+
+        best = int(np.argmin(self.search.generation(judge)))
+        return terms[best], float("nan")
+
+    def pack(self) -> dict[str, np.ndarray]:
+        return {"told": self.search.told}
+
+    def unpack(self, arrays: dict[str, np.ndarray]) -> None:
+        self.search.replay(arrays["told"])
+
+    def restart(self, theta: np.ndarray) -> None:
+        """Nothing to undo: a candidate that is worse is not followed."""

@@ -1,0 +1,68 @@
+"""Settings of a tuning run: one dataclass is the check, the help text and the record."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Literal
+
+METHODS = ("gradient", "cmaes", "random", "finite")
+OPTIMIZERS = ("adam", "lion", "sgd")
+GRADIENT_COST = 8  # closed-loop simulations that one gradient of one scenario counts as; `jaxftc bench tuning` measures it
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """How to search.
+
+    Raises:
+        ValueError: a value is not allowed; the message says which are.
+    """
+
+    method: Literal["gradient", "cmaes", "random", "finite"] = "gradient"
+    """Gradient through the closed loop; CMA-ES, random search or finite differences with the same budget of simulations."""
+    steps: int = 100
+    """Gradient steps; another method gets as many simulations as these would cost."""
+    batch: int = 64
+    """Scenarios per step."""
+    validation: int = 128
+    """Scenarios on which the best gains are chosen; never trained on."""
+    optimizer: Literal["adam", "lion", "sgd"] = "adam"
+    """Rule of the gradient steps, after clipping."""
+    learning_rate: float = 0.1
+    """In units of theta: 0.1 changes a gain by about 10 % a step."""
+    mode: Literal["reverse", "forward"] = "reverse"
+    """Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains, and in memory."""
+    anneal: tuple[float, float] = (2.0, 1.0)
+    """Factor on the widths of both smooth signs at the first and the last step; the gains get the last one."""
+    patience: int = 10
+    """Validations (one every few steps) without a better one after which it stops."""
+
+    def __post_init__(self) -> None:
+        from jaxftc import checks
+
+        checks.one_of("method", self.method, METHODS)
+        checks.one_of("optimizer", self.optimizer, OPTIMIZERS)
+        checks.one_of("mode", self.mode, ("reverse", "forward"))
+        checks.integer("steps", self.steps, 1, "100 suit the default gains")
+        checks.integer("batch", self.batch, 1, "64 suit two cores")
+        checks.integer("validation", self.validation, 1, "128 tell steps apart")
+        checks.integer("patience", self.patience, 1, "10 is patient")
+        checks.positive("learning_rate", self.learning_rate, "theta")
+        if len(self.anneal) != 2 or not all(math.isfinite(a) and a > 0 for a in self.anneal):
+            raise ValueError(f"anneal must be two positive factors, first and last, got {self.anneal!r}")
+
+    @property
+    def budget(self) -> int:
+        """Closed-loop simulations that a method may use."""
+        return self.steps * self.batch * GRADIENT_COST
+
+    def widen(self, share: float) -> float:
+        """Factor on the widths of the smooth signs after a share of the steps, from the first to the last geometrically."""
+        first, last = self.anneal
+        return first * (last / first) ** share
+
+
+def round_length(steps: int) -> int:
+    """Steps between two validations: the largest divisor up to 5, so that every round is the same program."""
+    return max(d for d in range(1, 6) if steps % d == 0)
