@@ -6,10 +6,12 @@ import difflib
 import math
 import numbers
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-import jax
 import numpy as np
-from jax.core import Tracer
+
+if TYPE_CHECKING:
+    import jax
 
 
 def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
@@ -52,6 +54,8 @@ def joints_first(name: str, value: object, n: int) -> None:
 
 def finite(name: str, value: object, what_to_do: str) -> None:
     """Refuse numbers that are not finite; values under a trace are not looked at."""
+    from jax.core import Tracer  # here, because commands check their options before they set JAX up
+
     if isinstance(value, Tracer):
         return
     array = np.asarray(value)

@@ -6,6 +6,10 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 @contextlib.contextmanager
@@ -20,3 +24,12 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
     with aside(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """Write columns of equal length whole or not at all."""
+    import duckdb
+
+    with aside(path) as temporary, duckdb.connect() as connection:
+        connection.register("columns", columns)
+        connection.execute("copy columns to $path (format parquet)", {"path": str(temporary)})

@@ -32,20 +32,20 @@ def demo_page(config: Config, experiment: Experiment) -> str:
         "<h2>Comparison</h2>" + _table(experiment),
         "<h2>Residuals and thresholds (T-S observer, AFESMC)</h2>",
         *(
-            _figure(residual_figure(config, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][c], condition))
+            embed(residual_figure(config, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][c], condition))
             for c, condition in enumerate(CONDITIONS)
         ),
         "<h2>Fault estimates of joint 1, both faults</h2>",
-        _figure(_observers(config, experiment)),
+        embed(_observers(config, experiment)),
         "<h2>Tracking error of joint 1, both faults (T-S observer)</h2>",
-        _figure(_controllers(experiment)),
+        embed(_controllers(experiment)),
     ]
-    return _page("jaxftc demo: the paper's experiment", sections)
+    return page("jaxftc demo: the paper's experiment", sections)
 
 
 def trace_page(config: Config, trace: dict[str, np.ndarray], title: str) -> str:
     """One run: motion, torque, residuals with thresholds."""
-    return _page(title, [_figure(motion_figure(config, trace)), _figure(residual_figure(config, trace, title))])
+    return page(title, [embed(motion_figure(config, trace)), embed(residual_figure(config, trace, title))])
 
 
 def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) -> go.Figure:
@@ -64,10 +64,10 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) ->
         level = float(np.rad2deg(trace[name][0, 0]) if degrees else trace[name][0, 0])
         for sign in (1, -1):
             figure.add_hline(y=sign * level, line={"dash": "dash", "color": "#777"}, row=row, col=1)  # pyright: ignore[reportArgumentType]
-    _shade(figure, trace)
+    shade(figure, trace)
     figure.update_yaxes(title_text="torque residual, N m", row=1, col=1)
     figure.update_yaxes(title_text="encoder fault b, deg", row=2, col=1)
-    return _finish(figure, title, "dashed: threshold of joint 1; shaded: fault present; click a joint to show it")
+    return finish(figure, title, "dashed: threshold of joint 1; shaded: fault present; click a joint to show it")
 
 
 def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:
@@ -80,10 +80,10 @@ def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:
         error = np.rad2deg(trace["q"][:, j] - trace["q_ref"][:, j])
         figure.add_scatter(x=t, y=error, showlegend=False, **look, row=2, col=1)
         figure.add_scatter(x=t, y=trace["tau"][:, j], showlegend=False, **look, row=3, col=1)
-    _shade(figure, trace)
+    shade(figure, trace)
     for row, title in enumerate(("angle, deg", "tracking error, deg", "torque command, N m"), start=1):
         figure.update_yaxes(title_text=title, row=row, col=1)
-    return _finish(figure, "Motion, tracking and torque", "").update_layout(height=700)
+    return finish(figure, "Motion, tracking and torque", "").update_layout(height=700)
 
 
 def _observers(config: Config, experiment: Experiment) -> go.Figure:
@@ -100,7 +100,7 @@ def _observers(config: Config, experiment: Experiment) -> go.Figure:
     figure.add_scatter(x=truth["t"], y=np.rad2deg(truth["fault_q"][:, 0]), showlegend=False, **black, row=2, col=1)
     figure.update_yaxes(title_text="actuator fault, N m", row=1, col=1)
     figure.update_yaxes(title_text="encoder fault, deg", row=2, col=1)
-    return _finish(figure, f"{config.robot.joint_names[0]}: estimates against the truth", "")
+    return finish(figure, f"{config.robot.joint_names[0]}: estimates against the truth", "")
 
 
 def _controllers(experiment: Experiment) -> go.Figure:
@@ -109,12 +109,12 @@ def _controllers(experiment: Experiment) -> go.Figure:
         trace = experiment.traces[OBSERVERS[-1], control][-1]
         error = np.rad2deg(trace["q"][:, 0] - trace["q_ref"][:, 0])
         figure.add_scatter(x=trace["t"], y=error, name=control.upper(), line_color=COLOURS[k])
-    _shade(figure, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][-1])
+    shade(figure, experiment.traces[OBSERVERS[-1], CONTROLS[-1]][-1])
     figure.update_yaxes(title_text="tracking error, deg")
-    return _finish(figure, "Gains as given, not at equal chattering", "")
+    return finish(figure, "Gains as given, not at equal chattering", "")
 
 
-def _shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> None:
+def shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> None:
     """Shade from the first to the last tick at which a fault is there."""
     there = (np.abs(trace["fault_tau"]) > 0).any(1) | (np.abs(trace["fault_q"]) > 0).any(1)
     if there.any():
@@ -122,7 +122,8 @@ def _shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> None:
         figure.add_vrect(x0=float(window[0]), x1=float(window[-1]), fillcolor="#999", opacity=0.15, line_width=0)
 
 
-def _finish(figure: go.Figure, title: str, note: str) -> go.Figure:
+def finish(figure: go.Figure, title: str, note: str) -> go.Figure:
+    """Title, look and the time axis, the same for every figure."""
     text = html.escape(title) + (f"<br><sup>{html.escape(note)}</sup>" if note else "")
     figure.update_layout(title_text=text, template="plotly_white", height=520, margin={"l": 70, "r": 20, "t": 70, "b": 50})
     figure.layout[list(figure.select_xaxes())[-1].plotly_name].title = "time, s"
@@ -162,11 +163,13 @@ def _table(experiment: Experiment) -> str:
     return f"<table><tr>{titles}</tr>{body}</table>"
 
 
-def _figure(figure: go.Figure) -> str:
+def embed(figure: go.Figure) -> str:
+    """A figure as HTML for ``page``."""
     return figure.to_html(full_html=False, include_plotlyjs=False, config={"responsive": True, "displaylogo": False})
 
 
-def _page(title: str, sections: list[str]) -> str:
+def page(title: str, sections: list[str]) -> str:
+    """A self-contained page of sections in HTML, which opens offline."""
     from plotly.offline import get_plotlyjs
 
     body = "\n".join(sections)

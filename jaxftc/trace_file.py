@@ -6,19 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxftc.files import aside
+from jaxftc.files import write_parquet
 
 
 def write(path: Path, trace: dict[str, np.ndarray], joints: tuple[str, ...]) -> None:
     """Write columns [T] and [T, n] whole or not at all."""
-    import duckdb
-
     table: dict[str, np.ndarray] = {}
     for name, values in trace.items():
         if values.ndim == 1:
             table[name] = np.ascontiguousarray(values)
         else:
             table |= {f"{name}_{joint}": np.ascontiguousarray(values[:, j]) for j, joint in enumerate(joints)}
-    with aside(path) as temporary, duckdb.connect() as connection:
-        connection.register("trace", table)
-        connection.execute("copy trace to $path (format parquet)", {"path": str(temporary)})
+    write_parquet(path, table)

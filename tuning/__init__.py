@@ -1,7 +1,7 @@
 """Tuning of every gain by gradient descent through the closed loop, over vmapped fault scenarios.
 
 The map of rooms: ``terms`` (what is good), ``transform`` (theta and gains), ``problem`` (the loss and its gradient),
-``descent`` and ``search`` (methods), ``fit`` (the loop), ``held_out`` (what it is worth), ``report`` and ``cli``. Public
+``descent`` and ``search`` (methods), ``loop`` (``fit``), ``held_out`` (what it is worth), ``report`` and ``cli``. Public
 names load on first use, as in ``jaxftc``.
 """
 
@@ -11,8 +11,8 @@ import importlib
 from typing import Any
 
 _ROOMS = {
-    "fit": ("Progress", "Result", "fit"),
     "held_out": ("Comparison", "compare"),
+    "loop": ("Progress", "Result", "fit"),
     "problem": ("Problem",),
     "settings": ("Settings",),
     "terms": ("OBJECTIVE", "Run", "Term", "alarms"),

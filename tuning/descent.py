@@ -55,15 +55,16 @@ class Descent:
         self.optimizer = optax.chain(optax.clip_by_global_norm(1.0), OPTIMIZERS[optimizer](schedule))
         slope = problem.slope(space, mode)
 
-        def one(state: State, x: tuple[Array, Scenario, Array]) -> tuple[State, Steps]:
-            terms, slopes = slope(state.theta, *x)
+        def one(key: Array, state: State, x: tuple[Array, Scenario, Array]) -> tuple[State, Steps]:
+            terms, slopes = slope(key, state.theta, *x)
             gradient = slopes.mean(1)
             change, inner = self.optimizer.update(gradient, state.optimizer, state.theta)
             theta = jnp.clip(state.theta + state.rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
             info = Steps(terms.mean(1), optax.global_norm(gradient), (slopes == 0).all(0).mean())
             return State(theta, inner, state.rate), info
 
-        self._round = jit(lambda state, xs: jax.lax.scan(one, state, xs))
+        self._key = problem.key
+        self._round = jit(lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs))
 
     def init(self, theta: np.ndarray, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""
@@ -73,5 +74,5 @@ class Descent:
     def round(self, state: State, widen: np.ndarray, scenarios: Scenario, start: np.ndarray) -> tuple[State, Steps]:
         """``len(widen)`` steps; scenarios [steps, ..., B] and the terms of the starting gains on them [steps, terms, B]."""
         dtype = state.theta.dtype
-        done = self._round(state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))
+        done = self._round(self._key, state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))
         return jax.tree.map(np.asarray, done)  # off the devices: as it came, so that the next round is the same program

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.compile import jit
-from jaxftc.faults.scenario import Scenario
+from jaxftc.faults.scenario import Scenario, take
 from jaxftc.gains import Gains
 from tuning import search, transform
 from tuning.descent import Descent
@@ -78,7 +78,7 @@ class Batches:
     def take(self, steps: range) -> tuple[Scenario, np.ndarray]:
         """Scenarios [steps * batch, ...] of some steps, and the terms [terms, steps * batch] of the starting gains."""
         rows = np.concatenate([self.rows(step) for step in steps])
-        chosen = jax.tree.map(lambda leaf: leaf[rows], self.scenarios)
+        chosen = take(self.scenarios, rows)
         return chosen, self.problem.scores(self.start, chosen)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxftc.closed_loop import simulate
 from jaxftc.compile import jit
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario, trail
+from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.parallel import over_scenarios
 from jaxftc.types import Array
@@ -41,17 +41,16 @@ class Problem:
         self.config, self.objective, self.key, self.batch = config, dict(objective), key, batch
         self.names = tuple(self.objective)
         self.weights = np.array([term.weight for term in self.objective.values()], float)
-        self._run = over_scenarios(lambda gains, scenarios: self.terms(gains, scenarios), batch)
-        self._scores = jit(self._run)
+        self._scores = jit(over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch))
 
     def scores(self, gains: Gains, scenarios: Scenario) -> np.ndarray:
         """Terms [terms, scenarios] of one set of gains, in pieces of ``batch`` scenarios; the last piece is filled up."""
         count = len(scenarios.id)
         pieces = []
         for first in range(0, count, self.batch):
-            rows = np.arange(first, first + self.batch) % count
-            pieces.append(self._scores(gains, trail(jax.tree.map(lambda leaf: np.asarray(leaf)[rows], scenarios))))  # noqa: B023
-        return np.concatenate([np.asarray(piece) for piece in pieces], axis=1)[:, :count].astype(float)
+            piece = take(scenarios, np.arange(first, first + self.batch) % count)
+            pieces.append(np.asarray(self._scores((self.key, gains), trail(piece)), float))
+        return np.concatenate(pieces, axis=1)[:, :count]
 
     def total(self, scores: np.ndarray) -> float:
         """The objective from terms [terms, scenarios]."""
@@ -61,24 +60,29 @@ class Problem:
         """Objective and guard, from terms [terms, scenarios] and those of the starting gains on the same scenarios."""
         return float(self.weights @ (scores.mean(1) + GUARD * np.maximum(scores.mean(1) - start.mean(1), 0.0)))
 
-    def terms(self, gains: Gains, scenarios: Scenario) -> Array:
+    def terms(self, key: Array, gains: Gains, scenarios: Scenario) -> Array:
         """Terms [terms, B] of scenarios with a trailing axis, traced; gains may carry the same axis."""
-        run = Run(self.config, gains, scenarios, simulate(self.config, gains, scenarios, self.key))
+        run = Run(self.config, gains, scenarios, simulate(self.config, gains, scenarios, key))
         values = jnp.stack([jnp.broadcast_to(term.value(run), scenarios.id.shape) for term in self.objective.values()])
         return jnp.where(jnp.isfinite(values), values, LOST)
 
-    def slope(self, space: Space, mode: str) -> Callable[[Array, Array, Scenario, Array], tuple[Array, Array]]:
-        """(theta, widen, scenarios, start terms) -> (terms [terms, B], gradients of the loss [size, B], one a scenario).
+    def slope(self, space: Space, mode: str) -> Callable[[Array, Array, Array, Scenario, Array], tuple[Array, Array]]:
+        """(key, theta, widen, scenarios, start terms) to (terms [terms, B], a gradient of the loss a scenario [size, B]).
 
         To be traced. ``mode`` is how gradients are found: ``reverse``, ``forward`` (a run with tangents for each entry of
         theta: for few gains) or ``finite`` differences. A gradient that is not finite counts as 0, one longer than ``CLIP``
         is cut to that: one run that hits a limit must not turn the whole step.
         """
-        run = over_scenarios(lambda widen, split: self.terms(space.gains(split[0], widen), split[1]), self.batch)
 
-        def call(theta: Array, widen: Array, scenarios: Scenario, start: Array) -> tuple[Array, Array]:
+        def simulated(shared: tuple[Array, Array], split: tuple[Array, Scenario]) -> Array:
+            (key, widen), (points, scenarios) = shared, split
+            return self.terms(key, space.gains(points, widen), scenarios)
+
+        run = over_scenarios(simulated, self.batch)
+
+        def call(key: Array, theta: Array, widen: Array, scenarios: Scenario, start: Array) -> tuple[Array, Array]:
             def at(points: Array) -> Array:
-                return run(widen, (points, scenarios))
+                return run((key, widen), (points, scenarios))
 
             def copies(vector: Array) -> Array:
                 return jnp.broadcast_to(vector[:, None], (vector.size, self.batch))

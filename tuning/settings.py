@@ -6,6 +6,8 @@ import dataclasses
 import math
 from typing import Literal
 
+from jaxftc import checks
+
 METHODS = ("gradient", "cmaes", "random", "finite")
 OPTIMIZERS = ("adam", "lion", "sgd")
 GRADIENT_COST = 8  # closed-loop simulations that one gradient of one scenario counts as; `jaxftc bench tuning` measures it
@@ -35,19 +37,17 @@ class Settings:
     """Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains, and in memory."""
     anneal: tuple[float, float] = (2.0, 1.0)
     """Factor on the widths of both smooth signs at the first and the last step; the gains get the last one."""
-    patience: int = 10
-    """Validations (one every few steps) without a better one after which it stops."""
+    patience: float = 0.5
+    """Share of the steps without a better validation after which it stops; 1 never stops early."""
 
     def __post_init__(self) -> None:
-        from jaxftc import checks
-
         checks.one_of("method", self.method, METHODS)
         checks.one_of("optimizer", self.optimizer, OPTIMIZERS)
         checks.one_of("mode", self.mode, ("reverse", "forward"))
         checks.integer("steps", self.steps, 1, "100 suit the default gains")
         checks.integer("batch", self.batch, 1, "64 suit two cores")
         checks.integer("validation", self.validation, 1, "128 tell steps apart")
-        checks.integer("patience", self.patience, 1, "10 is patient")
+        checks.positive("patience", self.patience, "the steps")
         checks.positive("learning_rate", self.learning_rate, "theta")
         if len(self.anneal) != 2 or not all(math.isfinite(a) and a > 0 for a in self.anneal):
             raise ValueError(f"anneal must be two positive factors, first and last, got {self.anneal!r}")

@@ -46,14 +46,19 @@ def say(options: Options, text: str = "") -> None:
     print(text, file=sys.stderr if options.json else sys.stdout)
 
 
-def prepare(options: Options) -> None:
+def prepare(options: Options, *, every_core: bool = False) -> None:
     """Settings of JAX that a command may make: the persistent compilation cache, and XLA's log.
 
+    ``every_core`` makes each core a device, for commands that spread scenarios over devices.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     import jax
 
+    if every_core:
+        jax.config.update(
+            "jax_num_cpu_devices", len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        )
     if options.cache:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxftc" / "xla"))

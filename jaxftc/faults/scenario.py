@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxftc import checks
 from jaxftc.arm.plant import Plant, nominal_plant
@@ -85,3 +86,8 @@ def stack(scenarios: list[Scenario]) -> Scenario:
 def trail(scenarios: Scenario) -> Scenario:
     """From a leading scenario axis, as sampled, to a trailing one, as simulated."""
     return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), scenarios)
+
+
+def take(scenarios: Scenario, rows: np.ndarray | slice) -> Scenario:
+    """Some of a set with a leading axis, as NumPy arrays."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], scenarios)

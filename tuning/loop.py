@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxftc.closed_loop import check as check_scenario
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario
+from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.types import Array
 from tuning import checkpoint, methods, transform
@@ -99,8 +98,7 @@ def _split(
     config: Config, gains: Gains, scenarios: Scenario, validation: Scenario | None, settings: Settings
 ) -> tuple[Scenario, Scenario]:
     """(training, validation), as NumPy arrays."""
-    scenarios = jax.tree.map(np.asarray, scenarios)
-    kept: Scenario
+    scenarios = take(scenarios, slice(None))
     if np.ndim(scenarios.id) != 1 or not len(scenarios.id):
         raise ValueError(
             f"scenarios must be a set of at least one with a leading axis, got ids of shape {np.shape(scenarios.id)}; "
@@ -110,12 +108,12 @@ def _split(
         count = min(settings.validation, len(scenarios.id) // 4)
         if not count:
             raise ValueError(f"{len(scenarios.id)} scenarios are too few to keep some back for validation; give at least 4")
-        kept = jax.tree.map(lambda leaf: leaf[-count:], scenarios)
-        scenarios = jax.tree.map(lambda leaf: leaf[:-count], scenarios)
+        kept = take(scenarios, slice(-count, None))
+        scenarios = take(scenarios, slice(-count))
     else:
-        kept = jax.tree.map(np.asarray, validation)
+        kept = take(validation, slice(None))
     for part in (scenarios, kept):
-        check_scenario(config, gains, jax.tree.map(lambda leaf: np.moveaxis(leaf, 0, -1), part))
+        check_scenario(config, gains, trail(part))
     return scenarios, kept
 
 
@@ -164,8 +162,8 @@ class _Run:
         self.rows.append([*progress, *terms])
         if loss > RUNAWAY * self.start_loss:
             self._recover(step, loss, scores)
-        elif self.stale >= self.settings.patience:
-            self.stopped = f"no better validation in {self.stale} rounds"
+        elif self.stale > self.settings.patience * self.method.rounds:
+            self.stopped = f"no better validation in {self.stale * self.method.steps} steps"
         if self.index == self.method.rounds and not self.stopped:
             self.stopped = "all steps done"
         return progress

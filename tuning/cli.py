@@ -1,0 +1,173 @@
+"""``jaxftc tune``: gains over vmapped fault scenarios, and what they are worth on scenarios never seen."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from jaxftc.cli import common
+from jaxftc.files import write_parquet, write_text
+from tuning.settings import Settings
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+    from jaxftc.config import Config
+    from tuning.held_out import Comparison
+    from tuning.loop import Progress, Result
+
+
+@dataclasses.dataclass
+class Tune(common.Options):
+    """Tune the gains on simulated faults; writes gains.toml, history.parquet, report.html and result.json.
+
+    A run that was stopped goes on when the same command is given again with the same --out.
+    """
+
+    settings: tyro.conf.OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
+    engine: Literal["mjx", "chain"] = "chain"
+    """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
+    coulomb: bool = True
+    """Give the PUMA 560 its Coulomb friction, in plant and model."""
+    seed: int = 0
+    """Seed of the scenarios, their noise, the search and the held-out scenarios."""
+    preset: Literal["standard", "hard", "doubles", "paper"] = "standard"
+    """Laws that the training scenarios are drawn from."""
+    observer: Literal["pi", "eso", "ts"] = "ts"
+    """PI, with super-twisting, with Takagi-Sugeno."""
+    control: Literal["smc", "esmc", "afesmc"] = "afesmc"
+    """Sliding mode, with estimation, with the fuzzy gain."""
+    rules: Literal["printed", "symmetric", "s_only"] = "printed"
+    """Table 1 as printed, or its mended forms."""
+    duration: float | None = None
+    """Length of a simulated run, s; the motion's, 1 s, if not given."""
+    only: tuple[str, ...] = ()
+    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles if not given. arx.xi_a is both poles."""
+    freeze: tuple[str, ...] = ()
+    """Gains or blocks to leave as they are."""
+    shared: tuple[str, ...] = ()
+    """Gains or blocks to move on all joints alike; the others move joint by joint."""
+    held_out: int = 512
+    """Scenarios of each preset, standard and hard, on which the gains are compared in the end."""
+
+    def run(self) -> None:
+        """Tune, compare, write."""
+        common.prepare(self, every_core=True)
+        import jax
+
+        from jaxftc import Config, checks, sample_scenarios, save_gains
+        from tuning import report
+        from tuning.held_out import compare
+        from tuning.loop import fit
+
+        checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
+        config = Config(
+            common.load_arm(self),
+            engine=self.engine,
+            observer=self.observer,
+            control=self.control,
+            rules=self.rules,
+            duration=self.duration,
+        )
+        start = common.load_or_default(self, config)
+        train, validate, noise, unseen = jax.random.split(common.key(self), 4)
+        count = self.settings.steps * self.settings.batch
+        training = sample_scenarios(train, count, self.preset, config=config)
+        validation = sample_scenarios(validate, self.settings.validation, self.preset, config=config)
+        folder = common.make_folder(self, "tune")
+        if self.out is None:
+            common.say(self, f"If it is stopped, go on with --out {folder}")
+        with Bar(config) as bar:
+            result = fit(
+                config,
+                start,
+                training,
+                validation=validation,
+                key=noise,
+                only=self.only,
+                freeze=self.freeze,
+                shared=self.shared,
+                settings=self.settings,
+                folder=folder,
+                on_round=bar.show,
+            )
+        save_gains(folder / "gains.toml", result.gains, config)
+        write_parquet(folder / "history.parquet", result.history)
+        comparisons = compare(config, start, result.gains, unseen, n=self.held_out, batch=self.settings.batch)
+        text = common.write_json(folder / "result.json", as_json(result, comparisons, folder))
+        write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
+        common.say(self, summary(result, comparisons))
+        common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
+        if self.json:
+            print(text)
+
+
+class Bar:
+    """Progress on stderr: loss, gradient norm, scenario steps a second, time left."""
+
+    def __init__(self, config: Config) -> None:
+        from tqdm import tqdm
+
+        self.ticks = config.ticks
+        self.last: Progress | None = None
+        self.bar: tqdm[Any] = tqdm(desc="compiling", unit="step", leave=False)
+
+    def __enter__(self) -> Bar:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.bar.close()
+
+    def show(self, progress: Progress) -> None:
+        """After a round."""
+        done, since = (self.last.simulations, self.last.seconds) if self.last else (0, 0.0)
+        rate = (progress.simulations - done) * self.ticks / (progress.seconds - since)
+        self.bar.set_description("tuning", refresh=False)
+        self.bar.total = progress.steps
+        norm = "" if progress.gradient_norm != progress.gradient_norm else f", |gradient| {progress.gradient_norm:.2g}"
+        text = f"loss {progress.loss:.3f}{norm}, validation {progress.validation:.3f}, {rate:.1e} scenario-steps/s"
+        self.bar.set_postfix_str(text, refresh=False)
+        self.bar.update(progress.step - self.bar.n)
+        self.last = progress
+
+
+def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict[str, Any]:
+    """The machine-readable result; a simulation is one closed-loop run, a gradient counted as several."""
+    held_out = {c.preset: c.as_dict() for c in comparisons if c.sign == "smooth"}
+    hard_sign = {c.preset: c.as_dict() for c in comparisons if c.sign == "hard"}
+    return {
+        "held_out": held_out,
+        "held_out_hard_sign": hard_sign,
+        "steps": result.steps,
+        "best_step": result.best_step,
+        "simulations": result.simulations,
+        "seconds": result.seconds,
+        "stopped": result.stopped,
+        "events": result.events,
+        "gains": str(folder / "gains.toml"),
+    }
+
+
+def summary(result: Result, comparisons: list[Comparison]) -> str:
+    """The held-out comparison as text."""
+    lines = [
+        f"{result.steps} steps, {result.simulations} closed-loop simulations, {result.seconds:.0f} s: {result.stopped}; "
+        f"gains of step {result.best_step}",
+        *(f"  {event}" for event in result.events),
+    ]
+    for c in comparisons:
+        (before, after), (low, high) = c.objective, c.ratio[1:]
+        name = c.preset + (", hard sgn" if c.sign == "hard" else "")
+        lines.append(
+            f"\nheld out, {name}: objective {before:.3f} -> {after:.3f}, "
+            f"{after / before:.3f} of it [{low:.3f}, {high:.3f}], n = {c.before.shape[1]}"
+        )
+        middle = [f"{m.value:.3f} [{m.low:.3f}, {m.high:.3f}]" for m in c.median]
+        lines.append(f"  median over scenarios {middle[0]} -> {middle[1]}")
+        for term, b, a, weight in zip(c.names, c.before.mean(1), c.after.mean(1), c.weights, strict=True):
+            note = "  WORSE by more than 10 %" if a > 1.1 * b + 1e-9 else ""
+            lines.append(f"  {term:12} {b:8.4f} -> {a:8.4f}   weight {weight:g}{note}")
+    return "\n".join(lines)

@@ -1,0 +1,119 @@
+"""What tuned gains are worth on scenarios that nobody has tuned on: terms before and after, paired by scenario."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxftc.config import Config
+from jaxftc.faults.sample import sample_scenarios
+from jaxftc.faults.scenario import Scenario
+from jaxftc.gains import Gains
+from jaxftc.types import Array
+from tuning.problem import Problem
+from tuning.terms import OBJECTIVE, Term
+
+PRESETS = ("standard", "hard")
+RESAMPLES = 2000
+LEVEL = 0.95
+
+
+class Interval(NamedTuple):
+    """A figure and its bootstrap interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Comparison(NamedTuple):
+    """Two sets of gains on the same held-out scenarios."""
+
+    preset: str
+    sign: str  # smooth or hard sgn
+    names: tuple[str, ...]  # of the terms
+    weights: np.ndarray  # [terms]
+    before: np.ndarray  # [terms, scenarios]
+    after: np.ndarray  # [terms, scenarios]
+    scenarios: Scenario  # leading axis
+    key: Array  # of the noise
+
+    @property
+    def objective(self) -> tuple[float, float]:
+        """The objective before and after: weighted sum of the terms' means."""
+        return float(self.weights @ self.before.mean(1)), float(self.weights @ self.after.mean(1))
+
+    @property
+    def ratio(self) -> Interval:
+        """Objective after over before, with a bootstrap interval over scenarios."""
+        pairs = np.stack([self.weights @ self.before, self.weights @ self.after])
+        return bootstrap(pairs, lambda x: x[1].mean(-1) / x[0].mean(-1))
+
+    @property
+    def median(self) -> tuple[Interval, Interval]:
+        """Median over scenarios of a scenario's own objective, before and after."""
+        before, after = self.weights @ self.before, self.weights @ self.after
+        return tuple(bootstrap(x[None], lambda y: np.median(y[0], -1)) for x in (before, after))  # pyright: ignore[reportReturnType]
+
+    def term_ratio(self, name: str) -> Interval:
+        """Mean of a term after over before; 1 where it was and is 0."""
+        k = self.names.index(name)
+        pairs = np.stack([self.before[k], self.after[k]])
+        if not pairs.any():
+            return Interval(1.0, 1.0, 1.0)
+        return bootstrap(pairs, lambda x: x[1].mean(-1) / np.maximum(x[0].mean(-1), 1e-12))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        before, after = self.objective
+        terms = {
+            name: {"before": float(b.mean()), "after": float(a.mean()), "ratio": self.term_ratio(name)._asdict()}
+            for name, b, a in zip(self.names, self.before, self.after, strict=True)
+        }
+        median = [interval._asdict() for interval in self.median]
+        return {
+            "before": before,
+            "after": after,
+            "n": self.before.shape[1],
+            "ratio": self.ratio._asdict(),
+            "median_before": median[0],
+            "median_after": median[1],
+            "terms": terms,
+        }
+
+
+def bootstrap(pairs: np.ndarray, figure: Any, seed: int = 0) -> Interval:
+    """``figure`` of rows [k, scenarios], and its percentile interval over resampled scenarios."""
+    rows = np.random.default_rng(seed).integers(0, pairs.shape[1], (RESAMPLES, pairs.shape[1]))
+    tails = np.quantile(figure(pairs[:, rows]), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return Interval(float(figure(pairs)), *map(float, tails))
+
+
+def compare(
+    config: Config,
+    before: Gains,
+    after: Gains,
+    key: Array,
+    *,
+    presets: tuple[str, ...] = PRESETS,
+    n: int = 512,
+    objective: Mapping[str, Term] = OBJECTIVE,
+    batch: int = 64,
+) -> list[Comparison]:
+    """Both sets of gains on n fresh scenarios of each preset: with the smooth sgn, then with the hard one.
+
+    Give a key that no tuning has seen. The hard sgn shows how far gains tuned with the smooth one hold.
+    """
+    draw, noise = jax.random.split(key)
+    found = []
+    for sign in ("smooth", "hard"):
+        problem = Problem(dataclasses.replace(config, sign=sign), objective, noise, batch)
+        for preset in presets:
+            scenarios = sample_scenarios(draw, n, preset, config=config)
+            scores = [problem.scores(gains, scenarios) for gains in (before, after)]
+            found.append(Comparison(preset, sign, problem.names, problem.weights, scores[0], scores[1], scenarios, noise))
+    return found
