@@ -76,6 +76,16 @@ def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:
     return float(np.abs(np.diff(tau / scale, axis=0)).sum(0).mean() / (len(tau) * dt))
 
 
+def at_level(curve: np.ndarray, level: float) -> tuple[float, float]:
+    """(chattering, tracking) where a curve [2, factors] reaches a chattering level, log-log, at its end if it does not.
+
+    Two controllers are compared fairly where they chatter alike.
+    """
+    x, y = np.log(curve[:, np.argsort(curve[0])])
+    reached = np.clip(np.log(level), x[0], x[-1])
+    return float(np.exp(reached)), float(np.exp(np.interp(reached, x, y)))
+
+
 def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
     """All figures of one run; ``trace`` is a column per signal, [T, n], as ``columns`` gives it.
 

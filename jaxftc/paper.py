@@ -167,7 +167,7 @@ def _comparisons(curves: dict[str, np.ndarray]) -> Iterator[Comparison]:
     for c, condition in enumerate(CONDITIONS):
         level = shaped["esmc"][0, len(SWEEP) // 2, :, c]  # [seeds], the gains as given
         read = {
-            control: np.array([_at_level(curve[:, :, s, c], level[s]) for s in range(SEEDS)])
+            control: np.array([metrics.at_level(curve[:, :, s, c], level[s]) for s in range(SEEDS)])
             for control, curve in shaped.items()
         }
         for before, after in pairwise(CONTROLS):
@@ -185,13 +185,6 @@ def _comparisons(curves: dict[str, np.ndarray]) -> Iterator[Comparison]:
                 after_deg=error[after],
                 change=(float(mean), float(low), float(high)),
             )
-
-
-def _at_level(curve: np.ndarray, level: float) -> tuple[float, float]:
-    """(chattering, tracking) where a curve [2, factors] reaches a chattering level, log-log, at its end if it does not."""
-    x, y = np.log(curve[:, np.argsort(curve[0])])
-    reached = np.clip(np.log(level), x[0], x[-1])
-    return float(np.exp(reached)), float(np.exp(np.interp(reached, x, y)))
 
 
 def _claims(

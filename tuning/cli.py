@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from tqdm import tqdm
 
     from jaxftc.config import Config
+    from jaxftc.gains import Gains
     from tuning.held_out import Comparison
     from tuning.loop import Progress, Result
 
@@ -121,7 +122,7 @@ class Bar:
     def __exit__(self, *error: object) -> None:
         self.bar.close()
 
-    def show(self, progress: Progress) -> None:
+    def show(self, progress: Progress, best: Gains) -> None:
         """After a round."""
         done, since = (self.last.simulations, self.last.seconds) if self.last else (0, 0.0)
         rate = (progress.simulations - done) * self.ticks / (progress.seconds - since)

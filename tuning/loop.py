@@ -66,14 +66,15 @@ def fit(
     shared: Iterable[str] = (),
     settings: Settings = Settings(),  # noqa: B008 (frozen)
     folder: Path | None = None,
-    on_round: Callable[[Progress], object] = lambda progress: None,
+    on_round: Callable[[Progress, Gains], object] = lambda progress, best: None,
 ) -> Result:
     """Tune gains on scenarios with a leading axis, as ``jaxftc.sample_scenarios`` gives them.
 
     ``only``, ``freeze`` and ``shared`` name gains (``observer.alpha_i``) or blocks (``control``): what is tuned (all that
     the config uses but the poles, if empty), what is not, what moves on all joints alike. Without ``validation`` a quarter
     of the scenarios is kept back for it. With a ``folder``, a checkpoint is written there after every round, and a run that
-    finds one goes on from it, to the same gains bit for bit.
+    finds one goes on from it, to the same gains bit for bit. ``on_round`` is called with where it stands and the best gains
+    so far.
 
     Raises:
         ValueError: an unknown or unused gain, nothing to tune, no or too few scenarios, start gains that are not allowed or
@@ -88,7 +89,8 @@ def fit(
     if folder is not None:
         run.resume_from(folder / checkpoint.NAME)
     while not run.stopped:
-        on_round(run.round())
+        progress = run.round()
+        on_round(progress, run.best_gains)
         if folder is not None:
             checkpoint.write(folder / checkpoint.NAME, run.identity, run.pack())
     return run.result()
@@ -180,13 +182,18 @@ class _Run:
             self.stopped = f"the loss ran away {self.recoveries} times, last because {what}; lower learning_rate"
         self.method.restart(self.best_theta)
 
+    @property
+    def best_gains(self) -> Gains:
+        """The gains with the lowest validation loss so far; the start if none was lower."""
+        return self.space.deploy(self.best_theta, self.settings.anneal[1] if self.best_step else 1.0)
+
     def result(self) -> Result:
         """The best gains, and how they were found."""
         columns = [*Progress._fields, *(f"term_{name}" for name in self.problem.names)]
         table = np.array(self.rows).reshape(-1, len(columns))
         history = dict(zip(columns, table.T, strict=True))
         return Result(
-            gains=self.space.deploy(self.best_theta, self.settings.anneal[1] if self.best_step else 1.0),
+            gains=self.best_gains,
             best_step=self.best_step,
             history=history,
             events=self.events,

@@ -66,6 +66,16 @@ class Problem:
         values = jnp.stack([jnp.broadcast_to(term.value(run), scenarios.id.shape) for term in self.objective.values()])
         return jnp.where(jnp.isfinite(values), values, LOST)
 
+    def at(self, space: Space) -> Callable[[Array, Array, Array | float, Scenario], Array]:
+        """(key, points [size, B], widen, scenarios) to terms [terms, B], one theta a scenario. To be traced."""
+
+        def simulated(shared: tuple[Array, Array], split: tuple[Array, Scenario]) -> Array:
+            (key, widen), (points, scenarios) = shared, split
+            return self.terms(key, space.gains(points, widen), scenarios)
+
+        run = over_scenarios(simulated, self.batch)
+        return lambda key, points, widen, scenarios: run((key, jnp.asarray(widen, points.dtype)), (points, scenarios))
+
     def slope(self, space: Space, mode: str) -> Callable[[Array, Array, Array, Scenario, Array], tuple[Array, Array]]:
         """(key, theta, widen, scenarios, start terms) to (terms [terms, B], a gradient of the loss a scenario [size, B]).
 
@@ -73,19 +83,14 @@ class Problem:
         theta: for few gains) or ``finite`` differences. A gradient that is not finite counts as 0, one longer than ``CLIP``
         is cut to that: one run that hits a limit must not turn the whole step.
         """
+        run = self.at(space)
 
-        def simulated(shared: tuple[Array, Array], split: tuple[Array, Scenario]) -> Array:
-            (key, widen), (points, scenarios) = shared, split
-            return self.terms(key, space.gains(points, widen), scenarios)
-
-        run = over_scenarios(simulated, self.batch)
+        def copies(vector: Array) -> Array:
+            return jnp.broadcast_to(vector[:, None], (vector.size, self.batch))
 
         def call(key: Array, theta: Array, widen: Array, scenarios: Scenario, start: Array) -> tuple[Array, Array]:
             def at(points: Array) -> Array:
-                return run((key, widen), (points, scenarios))
-
-            def copies(vector: Array) -> Array:
-                return jnp.broadcast_to(vector[:, None], (vector.size, self.batch))
+                return run(key, points, widen, scenarios)
 
             if mode == "reverse":
                 terms, pull = jax.vjp(at, copies(theta))

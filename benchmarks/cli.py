@@ -1,0 +1,123 @@
+"""``jaxftc bench``: the benchmark suites."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from jaxftc.cli import common
+from jaxftc.files import write_parquet, write_text
+from tuning.settings import Settings
+
+if TYPE_CHECKING:
+    from benchmarks.ranking import Pair
+    from jaxftc.config import Config
+
+
+@dataclasses.dataclass
+class Bench(common.Options):
+    """Benchmarks, side by side in one run; writes result.json and report.html.
+
+    tuning: gradient, CMA-ES, random search and finite differences, held-out objective over simulations and over time.
+    ranking: the paper's two rankings, every observer and controller tuned with the same budget.
+    """
+
+    suite: tyro.conf.Positional[Literal["tuning", "ranking"]] = "tuning"
+    """What to measure."""
+    settings: tyro.conf.OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
+    engine: Literal["mjx", "chain"] = "chain"
+    """Plant dynamics."""
+    coulomb: bool = True
+    """Give the PUMA 560 its Coulomb friction, in plant and model."""
+    seed: int = 0
+    """Seed of the ranking's scenarios; tuning counts its seeds from 0."""
+    seeds: int = 5
+    """Seeds of each method (tuning)."""
+    more: float = 1.0
+    """Factor on the budget of CMA-ES (tuning)."""
+    held_out: int = 1024
+    """Held-out scenarios (ranking)."""
+
+    def run(self) -> None:
+        """Measure, print, write."""
+        common.prepare(self, every_core=True)
+        from benchmarks import machine
+        from jaxftc import Config, checks
+
+        checks.integer("--seeds", self.seeds, 1, "5 show the spread")
+        checks.integer("--held-out", self.held_out, 32, "rankings are read by condition")
+        checks.positive("--more", self.more, "the budget")
+        config = Config(common.load_arm(self), engine=self.engine)
+        folder = common.make_folder(self, f"bench-{self.suite}")
+        suite = self._tuning if self.suite == "tuning" else self._ranking
+        result, text, page = suite(config, folder)
+        result = {"machine": machine.describe(), "settings": dataclasses.asdict(self.settings), **result}
+        printed = common.write_json(folder / "result.json", result)
+        write_text(folder / "report.html", page)
+        common.say(self, text)
+        common.say(self, f"\nWritten to {folder}: result.json, report.html")
+        if self.json:
+            print(printed)
+
+    def _tuning(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+        import numpy as np
+        from tqdm import tqdm
+
+        from benchmarks import curves, report
+        from tuning.settings import METHODS
+
+        gains = common.load_or_default(self, config)
+        factors = dict.fromkeys(METHODS, 1.0) | {"cmaes": self.more}
+        with tqdm(total=self.seeds * len(METHODS), desc="methods x seeds", unit="run", leave=False) as bar:
+            found, cost = curves.measure(config, gains, self.seeds, self.settings, factors, bar.update)
+        rows = [
+            (c.method, c.seed, *point) for c in found for point in zip(c.simulations, c.seconds, c.objective, strict=True)
+        ]
+        names = ("method", "seed", "simulations", "seconds", "held_out_objective")
+        write_parquet(
+            folder / "curves.parquet",
+            {n: np.array(column) for n, column in zip(names, zip(*rows, strict=True), strict=True)},
+        )
+        verdicts = curves.verdicts(found)
+        result = {"gradient_cost": cost, "seeds": self.seeds, "methods": verdicts}
+        return result, tuning_text(cost, verdicts), report.curves_page(found, cost)
+
+    def _ranking(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+        from tqdm import tqdm
+
+        from benchmarks import ranking, report
+
+        with tqdm(total=len(ranking.STRUCTURES) + 3, desc="structures", unit="run", leave=False) as bar:
+            pairs, notes = ranking.measure(config, self.seed, self.held_out, self.settings, bar.update)
+        rows = [pair._asdict() | {"ratio": pair.ratio._asdict(), "result": pair.word} for pair in pairs]
+        return {"pairs": rows, **notes}, ranking_text(pairs, notes), report.ranking_page(pairs, notes)
+
+
+def tuning_text(cost: float, verdicts: dict[str, Any]) -> str:
+    """The methods as a table."""
+    head = f"{'method':10}{'held out':>10}{'simulations':>13}{'s':>8}{'compile s':>11}  gradient reaches it with"
+    lines = [f"a gradient counts as {cost:.1f} simulations, measured", "", head, "-" * len(head)]
+    for method, v in verdicts.items():
+        fewer = ", ".join(f"{x:.1f}" for x in v["gradient_needs_times_fewer"])
+        lines.append(
+            f"{method:10}{v['final_median']:10.3f}{v['simulations']:13.0f}{v['seconds']:8.0f}{v['compile_s']:11.0f}"
+            f"  {v['gradient_needs_times_fewer_median']:.1f} times fewer (by seed: {fewer})"
+        )
+    return "\n".join(lines)
+
+
+def ranking_text(pairs: list[Pair], notes: dict[str, Any]) -> str:
+    """Both rankings as a table, and the notes."""
+    head = f"{'ranking':18}{'condition':11}{'from':8}{'to':8}{'median ratio, 95 %':>26}{'n':>6}  result"
+    lines = [head, "-" * len(head)]
+    for p in pairs:
+        ratio = f"{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]"
+        note = f" ({100 * p.louder:.0f} % cannot be made to chatter alike)" if p.louder else ""
+        lines.append(f"{p.ranking:18}{p.condition:11}{p.before:8}{p.after:8}{ratio:>26}{p.n:6}  {p.word}{note}")
+    lines.append("")
+    for name, note in notes.items():
+        lines.append(f"{name}: " + ", ".join(f"{k} {v:.3f}" for k, v in note.items()))
+    return "\n".join(lines)

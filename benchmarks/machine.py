@@ -1,0 +1,29 @@
+"""The machine that figures come from."""
+
+from __future__ import annotations
+
+import os
+import platform
+from typing import Any
+
+import jax
+
+from jaxftc.version import __version__
+
+
+def describe() -> dict[str, Any]:
+    """Processor, cores, devices and versions."""
+    name = platform.processor() or platform.machine()
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as file:
+            name = next(line.split(":")[1].strip() for line in file if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return {
+        "processor": name,
+        "cores": os.cpu_count(),
+        "devices": [str(device) for device in jax.local_devices()],
+        "python": platform.python_version(),
+        "jax": jax.__version__,
+        "jaxftc": __version__,
+    }

@@ -1,0 +1,60 @@
+"""Pages of the benchmark suites."""
+
+from __future__ import annotations
+
+import html
+from typing import TYPE_CHECKING, Any
+
+import plotly.graph_objects as go
+
+from jaxftc.report import COLOURS, embed, finish, page
+
+if TYPE_CHECKING:
+    from benchmarks.curves import Curve
+    from benchmarks.ranking import Pair
+
+
+def curves_page(curves: list[Curve], cost: float) -> str:
+    """Held-out objective over simulations and over time, every seed a line."""
+    note = f"a line a seed; a gradient counts as {cost:.1f} simulations, measured; compilation apart"
+    return page(
+        "jaxftc bench tuning",
+        [
+            embed(_curves(curves, "simulations", "closed-loop simulations", note)),
+            embed(_curves(curves, "seconds", "time without compilation, s", note)),
+        ],
+    )
+
+
+def _curves(curves: list[Curve], axis: str, title: str, note: str) -> go.Figure:
+    figure = go.Figure()
+    methods = list(dict.fromkeys(c.method for c in curves))
+    for c in curves:
+        figure.add_scatter(
+            x=getattr(c, axis)[1:],
+            y=c.objective[1:],
+            name=c.method,
+            legendgroup=c.method,
+            showlegend=c.seed == 0,
+            line_color=COLOURS[methods.index(c.method)],
+        )
+    start = max(c.objective[0] for c in curves)
+    figure.add_hline(y=start, line={"dash": "dot", "color": "#777"}, annotation_text="default gains")  # pyright: ignore[reportArgumentType]
+    finish(figure, "Held-out objective of the best gains so far", note)
+    figure.update_xaxes(type="log", title_text=title)
+    figure.update_yaxes(title_text="held-out objective")
+    return figure
+
+
+def ranking_page(pairs: list[Pair], notes: dict[str, Any]) -> str:
+    """Both rankings as a table."""
+    head = "<tr><th>ranking</th><th>condition</th><th>pair</th><th>median ratio, 95 %</th><th>n</th><th>result</th></tr>"
+    rows = "".join(
+        f"<tr><td>{p.ranking}</td><td>{p.condition}</td><td>{p.before.upper()} to {p.after.upper()}</td>"
+        f"<td>{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]</td><td>{p.n}</td><td>{p.word}</td></tr>"
+        for p in pairs
+    )
+    text = "".join(
+        f"<li>{html.escape(name)}: {', '.join(f'{k} {v:.3f}' for k, v in note.items())}</li>" for name, note in notes.items()
+    )
+    return page("jaxftc bench ranking", [f"<table>{head}{rows}</table><ul>{text}</ul>"])
