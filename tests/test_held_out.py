@@ -1,0 +1,48 @@
+"""Held-out comparison: paired figures, intervals that hold what they promise, seeds of its own."""
+
+import jax
+import numpy as np
+import pytest
+
+import jaxftc
+from tuning import Comparison, Term, compare
+from tuning.held_out import bootstrap
+
+
+def comparison(before, after, weights=(1.0, 2.0)):
+    return Comparison("standard", "smooth", ("a", "b"), np.array(weights), before, after, None, None)
+
+
+def test_figures_of_a_known_case():
+    before = np.array([[1.0, 3.0, 2.0], [0.0, 0.0, 0.0]])
+    c = comparison(before, np.array([[0.5, 1.5, 1.0], [0.0, 0.0, 0.0]]))
+    assert c.objective == (2.0, 1.0)
+    assert c.ratio == (0.5, 0.5, 0.5)  # paired: every scenario is halved, whichever are drawn
+    assert c.term_ratio("a").value == 0.5 and c.term_ratio("b") == (1.0, 1.0, 1.0)
+    assert c.median[0].value == 2.0
+    assert c.as_dict()["terms"]["a"]["before"] == 2.0
+
+
+def test_bootstrap_intervals_cover_as_often_as_they_say():
+    random = np.random.default_rng(0)
+    mean = lambda x: x[0].mean(-1)  # noqa: E731
+    intervals = [bootstrap(random.exponential(size=(1, 60)), mean, seed) for seed in range(200)]
+    assert 0.89 < np.mean([low <= 1.0 <= high for _, low, high in intervals]) < 0.98
+
+
+def test_both_signs_on_both_presets_on_scenarios_of_the_key(paper_arm):
+    config = jaxftc.Config(paper_arm, engine="chain", observer="pi", control="smc", duration=0.02)
+    gains = jaxftc.default_gains(config)
+    objective = {"end": Term(1.0, lambda r: r.trace.q[-1].sum(0))}
+    one, other = (compare(config, gains, gains, jax.random.key(k), n=4, objective=objective, batch=4) for k in (0, 1))
+    assert [(c.preset, c.sign) for c in one] == [
+        ("standard", "smooth"),
+        ("hard", "smooth"),
+        ("standard", "hard"),
+        ("hard", "hard"),
+    ]
+    for c in one:
+        np.testing.assert_array_equal(c.before, c.after)
+    assert not np.isin(one[0].before, other[0].before).any()
+    with pytest.raises(ValueError, match="preset must be one of"):
+        compare(config, gains, gains, jax.random.key(0), presets=("standrd",), objective=objective)

@@ -1,0 +1,212 @@
+"""The tuning loop: it finds better gains, goes on where it was stopped, undoes what runs away, and says what is wrong."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc.faults.scenario import take
+from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, methods, search
+from tuning.settings import GRADIENT_COST, round_length
+
+SMALL = Settings(steps=10, batch=4, validation=4, learning_rate=0.2)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """A short run of the simplest structure, which compiles quickly."""
+    return jaxftc.Config(jaxftc.puma560(), engine="chain", observer="pi", control="smc", duration=0.1)
+
+
+@pytest.fixture(scope="module")
+def scenarios(arm):
+    """Scenarios of ``standard`` whose faults come within the short run."""
+    many = take(jaxftc.sample_scenarios(jax.random.key(0), 24, config=arm), slice(None))
+    early = lambda fault: fault._replace(onset=0.1 * fault.onset)  # noqa: E731
+    return many._replace(fault_tau=early(many.fault_tau), fault_q=early(many.fault_q))
+
+
+@pytest.fixture(scope="module")
+def tuned(arm, scenarios):
+    seen = []
+    result = run(arm, scenarios, on_round=lambda progress, best: seen.append((progress, best)))
+    return result, seen
+
+
+def run(arm, scenarios, start=None, **more):
+    options = {"settings": SMALL, "key": jax.random.key(1), "only": ["control", "diagnosis", "observer.alpha_p"]} | more
+    return fit(arm, start or jaxftc.default_gains(arm), scenarios, **options)
+
+
+def same(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+def test_it_finds_better_gains_and_says_how(arm, scenarios, tuned):
+    result, seen = tuned
+    problem = Problem(arm, OBJECTIVE, jax.random.key(1), 4)
+    before, after = (problem.scores(g, take(scenarios, slice(-4, None))) for g in (jaxftc.default_gains(arm), result.gains))
+    assert problem.loss(after, before) < 0.95 * problem.total(before)
+    history = result.history
+    assert history["step"].tolist() == [5, 10] and [p.step for p, _ in seen] == [5, 10]
+    assert history["best"][-1] == pytest.approx(problem.loss(after, before), rel=1e-9)
+    assert {f"term_{name}" for name in OBJECTIVE} < set(history)
+    assert result.simulations == 4 + 10 * 4 * (GRADIENT_COST + 1) + 2 * 4
+    assert (result.stopped, result.events) == ("all steps done", [])
+    same(seen[-1][1], result.gains)
+    same(result.gains.arx, jaxftc.default_gains(arm).arx)
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_gains(arm, scenarios, tuned, tmp_path):
+    class Stopped(Exception):
+        pass
+
+    def stop(progress, best):
+        if progress.step == 10:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(arm, scenarios, folder=tmp_path, on_round=stop)
+    steps = []
+    result = run(arm, scenarios, folder=tmp_path, on_round=lambda progress, best: steps.append(progress.step))
+    assert steps == [10]
+    same(result.gains, tuned[0].gains)
+    for name, column in tuned[0].history.items():
+        if name != "seconds":
+            np.testing.assert_array_equal(result.history[name], column)
+    again = run(arm, scenarios, folder=tmp_path, on_round=lambda *_: pytest.fail("a finished run has nothing left to do"))
+    same(again.gains, result.gains)
+
+
+def test_a_checkpoint_of_another_run_is_refused(arm, scenarios, tmp_path):
+    short = dataclasses.replace(SMALL, method="random", steps=1)
+    run(arm, scenarios, folder=tmp_path, settings=short)
+    with pytest.raises(ValueError, match=r"another settings .*learning_rate 0.2, here 0.1.*give the same options"):
+        run(arm, scenarios, folder=tmp_path, settings=dataclasses.replace(short, learning_rate=0.1))
+    with pytest.raises(ValueError, match="another scenarios"):
+        run(arm, take(scenarios, slice(20)), folder=tmp_path, settings=short)
+    (tmp_path / checkpoint.NAME).write_bytes(b"PK torn")
+    with pytest.raises(ValueError, match="is no checkpoint of a tuning run"):
+        run(arm, scenarios, folder=tmp_path, settings=short)
+
+
+@pytest.mark.parametrize("method", ["cmaes", "random"])
+def test_searches_stay_within_their_budget_and_resume(arm, scenarios, method, tmp_path):
+    settings = dataclasses.replace(SMALL, method=method, steps=7, patience=1.0)
+    whole = run(arm, scenarios, settings=settings)
+    assert whole.history["validation"].min() <= whole.history["validation"][0]
+    assert np.isnan(whole.history["gradient_norm"]).all()
+    rounds = len(whole.history["step"])
+    per_round = {"cmaes": 4 + int(3 * np.log(83)), "random": 2}[method] * settings.batch
+    assert rounds == max(1, settings.budget // per_round)
+
+    class Stopped(Exception):
+        pass
+
+    def stop(progress, best):
+        if progress.step == 2:
+            raise Stopped
+
+    with pytest.raises(Stopped):
+        run(arm, scenarios, settings=settings, folder=tmp_path, on_round=stop)
+    same(run(arm, scenarios, settings=settings, folder=tmp_path).gains, whole.gains)
+
+
+def test_finite_differences_descend(arm, scenarios):
+    settings = dataclasses.replace(SMALL, method="finite", steps=8)
+    result = run(arm, scenarios, settings=settings, only=["control.lam", "control.eps"], shared=["control"])
+    assert result.steps == settings.budget // (4 * 3)  # two numbers and the point itself
+    assert result.best_step > 0
+
+
+def test_what_runs_away_is_undone_and_told(arm, scenarios):
+    """A term that likes no theta but the start: every step makes it worse."""
+    objective = {
+        "away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0) + 0 * r.trace.q[0, 0])
+    }
+    settings = dataclasses.replace(SMALL, method="random", steps=10, patience=1.0)
+
+    class Wild(search.Random):
+        def generation(self, judge):
+            losses = super().generation(judge)
+            self.theta = self.theta + 1.0
+            return losses
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(methods.search, "Random", Wild)
+        result = run(arm, scenarios, settings=settings, objective=objective, only=["control.lam"])
+    assert len(result.events) == 4 and "away rose from" in result.events[0]
+    assert "the loss ran away 4 times" in result.stopped and "lower learning_rate" in result.stopped
+    same(result.gains, jaxftc.default_gains(arm))  # the start, to the bit
+
+
+def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenarios):
+    """A term whose slope is not a number on one scenario, and a million on another."""
+
+    def spiked(r):
+        factor = jnp.where(r.scenario.id % 4 == 1, 1e6, 1.0)
+        lam = r.gains.control.lam.mean(0) / 20.0
+        root = jnp.sqrt(jnp.where(r.scenario.id % 4 == 2, 0.0 * lam, lam))
+        return factor * root + 0 * r.trace.q[0, 0]
+
+    problem = Problem(arm, {"spiked": Term(1.0, spiked)}, jax.random.key(1), 4)
+    space = methods.transform.space(arm, jaxftc.default_gains(arm), ["control.lam"], ["control"])
+    slope = jaxftc.jit(problem.slope(space, "reverse"))
+    batch = jaxftc.trail(take(scenarios, slice(4)))
+    _, slopes = slope(problem.key, jnp.zeros(1), jnp.ones(()), batch, jnp.full((1, 4), np.inf))
+    np.testing.assert_allclose(slopes[0], [0.5, 1.0, 0.0, 0.5], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"scenarios": slice(0)}, "a set of at least one with a leading axis"),
+        ({"scenarios": slice(3)}, "3 scenarios are too few to keep some back for validation; give at least 4"),
+        ({"objective": {}}, "the objective has no terms"),
+        ({"freeze": ["observer", "diagnosis", "control"]}, "every gain is frozen"),
+        ({"only": ["control.lamb"]}, "did you mean 'control.lam'"),
+        ({"start": jnp.nan}, "control.lam must be finite"),
+    ],
+)
+def test_bad_input_is_refused(arm, scenarios, change, message):
+    start = None
+    if "start" in change:
+        gains = jaxftc.default_gains(arm)
+        start = dataclasses.replace(gains, control=dataclasses.replace(gains.control, lam=jnp.full(6, change.pop("start"))))
+    some = take(scenarios, change.pop("scenarios", slice(None)))
+    with pytest.raises(ValueError, match=message):
+        run(arm, some, start, **change)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("method", "gradent", "did you mean 'gradient'"),
+        ("steps", 0, "steps must be an integer of at least 1"),
+        ("batch", 0, "batch must be an integer of at least 1"),
+        ("learning_rate", -1.0, "learning_rate must be a positive"),
+        ("anneal", (1.0, 0.0), "anneal must be two positive factors"),
+        ("optimizer", "adm", "did you mean 'adam'"),
+    ],
+)
+def test_settings_are_checked(field, value, message):
+    with pytest.raises(ValueError, match=message):
+        Settings(**{field: value})
+
+
+def test_rounds_divide_the_steps():
+    assert [round_length(steps) for steps in (1, 7, 8, 10, 100)] == [1, 1, 4, 5, 5]
+
+
+def test_every_scenario_is_used_before_any_is_used_again(arm, scenarios):
+    batches = methods.Batches(
+        Problem(arm, OBJECTIVE, jax.random.key(0), 5), jaxftc.default_gains(arm), take(scenarios, slice(12))
+    )
+    dealt = np.concatenate([batches.rows(step) for step in range(12)])
+    for epoch in range(5):
+        assert sorted(dealt[12 * epoch : 12 * (epoch + 1)]) == list(range(12))
+    assert not np.array_equal(dealt[12:24], dealt[24:36])

@@ -1,0 +1,78 @@
+"""The gradient of the whole objective in every free gain: reverse, forward and finite differences agree in float64."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc import compile as compiling
+from jaxftc.faults.scenario import stack, trail
+from tests.test_gradients import base_gains, faulty
+from tuning import OBJECTIVE, Problem, problem, transform
+
+BATCH = 2
+STEPS = (1e-5, 1e-4)  # rounding spoils the small one, kinks (torque travel) the large one
+# The poles and the stiff read-out behind them: a step of 1e-5 is a large one there.
+STIFF = {transform.POLES: (1e-7, 1e-6)}
+
+
+class Setup(NamedTuple):
+    space: transform.Space
+    loss: object  # theta -> weighted sum of the terms' means
+    reverse: np.ndarray  # [size]
+    forward: np.ndarray  # [size]
+
+
+@pytest.fixture(scope="module")
+def setup():
+    """Two scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
+    config = jaxftc.Config(jaxftc.puma560(), engine="chain", duration=0.12)
+    start = base_gains(config)
+    # Close to the edge of stability, where that term has a slope.
+    start = dataclasses.replace(start, observer=dataclasses.replace(start.observer, alpha_i=14 * start.observer.alpha_i))
+    scenarios = trail(stack([faulty(config)._replace(id=jnp.asarray(k, jnp.int32)) for k in range(BATCH)]))
+    space = transform.space(config, start, transform.tunable(config))
+    whole = Problem(config, OBJECTIVE, jax.random.key(0), BATCH)
+    zero, one = jnp.zeros(space.size), jnp.ones(())
+    low = jnp.full((len(OBJECTIVE), BATCH), np.inf)  # a start that is worse in everything: no guard
+    slopes = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(problem, "CLIP", np.inf)
+        for mode in ("reverse", "forward"):
+            call = compiling.jit(whole.slope(space, mode))
+            terms, slope = call(whole.key, zero, one, scenarios, low)
+            slopes[mode] = np.asarray(slope).mean(1)
+    assert np.isfinite(terms).all() and (np.asarray(terms).mean(1) > 0).all(), "a term that is 0 has no slope to check"
+    run = compiling.jit(whole.at(space))
+
+    def loss(theta):
+        points = jnp.broadcast_to(jnp.asarray(theta)[:, None], (space.size, BATCH))
+        return float(whole.weights @ np.asarray(run(whole.key, points, 1.0, scenarios)).mean(1))
+
+    return Setup(space, loss, slopes["reverse"], slopes["forward"])
+
+
+def test_reverse_and_forward_agree(setup):
+    np.testing.assert_allclose(setup.forward, setup.reverse, rtol=1e-6, atol=1e-9 * np.abs(setup.reverse).max())
+
+
+NAMES = transform.tunable(jaxftc.Config(jaxftc.puma560(), engine="chain"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_slope_in_a_gain_is_that_of_finite_differences(setup, name):
+    leaf = next(leaf for leaf in setup.space.leaves if f"{leaf.block}.{leaf.name}" == name)
+    direction = np.zeros(setup.space.size)
+    direction[leaf.part] = np.random.default_rng(0).choice([-1.0, 1.0], leaf.part.stop - leaf.part.start)
+    slope = setup.reverse @ direction
+    finite = [(setup.loss(h * direction) - setup.loss(-h * direction)) / (2 * h) for h in STIFF.get(name, STEPS)]
+    np.testing.assert_allclose(slope, min(finite, key=lambda f: abs(f - slope)), rtol=1e-3, atol=1e-8)
+
+
+def test_every_gain_that_is_tuned_has_a_slope(setup):
+    flat = {f"{leaf.block}.{leaf.name}" for leaf in setup.space.leaves if not np.abs(setup.reverse[leaf.part]).max() > 0}
+    assert not flat
