@@ -1,4 +1,7 @@
-"""Errors at the door: what came, what is allowed, what to do. Nothing here runs under a trace."""
+"""Errors at the door: what came, what is allowed, what to do. Nothing here runs under a trace.
+
+Commands check their options before they set JAX up, so NumPy and JAX are imported where they are needed.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,6 @@ import math
 import numbers
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 if TYPE_CHECKING:
     import jax
@@ -47,6 +48,8 @@ def multiple(name: str, value: float, dt: float) -> int:
 
 def joints_first(name: str, value: object, n: int) -> None:
     """Refuse an array whose first axis is not the n joints."""
+    import numpy as np
+
     shape = tuple(np.shape(value))  # pyright: ignore[reportArgumentType, reportCallIssue]
     if not shape or shape[0] != n:
         raise ValueError(f"{name} must have the {n} joints on its first axis ([{n}] or [{n}, scenarios]), got shape {shape}")
@@ -54,7 +57,8 @@ def joints_first(name: str, value: object, n: int) -> None:
 
 def finite(name: str, value: object, what_to_do: str) -> None:
     """Refuse numbers that are not finite; values under a trace are not looked at."""
-    from jax.core import Tracer  # here, because commands check their options before they set JAX up
+    import numpy as np
+    from jax.core import Tracer
 
     if isinstance(value, Tracer):
         return

@@ -2,8 +2,11 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
 
 import duckdb
 import numpy as np
@@ -67,16 +70,49 @@ def test_figures_open_offline(simulated):
         (["simulate", "--gains", "no.toml"], "jaxftc: cannot read gains from no.toml: "),
         (["simulate", "--torque", "nan"], "jaxftc: --torque must be a finite number, got nan"),
         (["simulate", "--out", "/proc/none"], "jaxftc: cannot write results: "),
+        (["tune", "--only", "control.lamb"], "jaxftc: gain must be one of "),
+        (
+            ["tune", "--freeze", "observer", "control", "diagnosis"],
+            "jaxftc: every gain is frozen, so there is nothing",
+        ),
+        (["tune", "--only", "control.alpha_sm"], "jaxftc: gain 'control.alpha_sm' does nothing with observer 'ts' and"),
+        (["tune", "--gains", "broken.toml"], "jaxftc: broken.toml: observer.alpha_i must be finite, got [nan, "),
+        (["tune", "--gains", "other.toml"], "jaxftc: other.toml holds gains for another robot 'puma560 without"),
+        (["tune", "--gains", "orders.toml"], "jaxftc: orders.toml holds gains for another order_a 4, here 3; "),
+        (["tune", "--held-out", "1"], "jaxftc: --held-out must be an integer of at least 2, got 1"),
+        (["bench", "ranking", "--held-out", "8"], "jaxftc: --held-out must be an integer of at least 32, got 8"),
     ],
 )
 def test_refusals_are_one_line(arguments, line, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(common, "prepare", lambda options: None)
+    monkeypatch.setattr(common, "prepare", lambda options, **settings: None)
+    if "tune" in arguments:
+        gains_files()
     with pytest.raises(SystemExit) as stop:
         main(arguments)
     err = capsys.readouterr().err
     assert stop.value.code == 2 and err.startswith(line) and err.count("\n") == 1
     assert not list(tmp_path.rglob("*.parquet"))
+
+
+def gains_files():
+    """Gains with a NaN, of an arm without dry friction, and of another order, in the working folder."""
+    config = jaxftc.Config(jaxftc.puma560())
+    jaxftc.save_gains("broken.toml", jaxftc.default_gains(config), config)
+    text = Path("broken.toml").read_text()
+    assert "680.0" in text
+    Path("broken.toml").write_text(text.replace("680.0", "nan", 1))
+    for name, other in (("other", jaxftc.puma560(coulomb=False)), ("orders", config.robot)):
+        changed = jaxftc.Config(other, order_a=4 if name == "orders" else 3)
+        jaxftc.save_gains(f"{name}.toml", jaxftc.default_gains(changed), changed)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["tune", "--batch", "0"], ["tune", "--method", "cma"], ["tune", "--anneal", "1", "-1"]]
+)
+def test_settings_that_are_not_allowed_exit_with_2(arguments):
+    done = run(arguments, None)
+    assert done.returncode == 2 and done.stderr and not done.stdout
 
 
 @pytest.mark.parametrize("arguments", [["simulate", "--engine", "bullet"], ["simulate", "--sped", "1"], ["fly"], []])
@@ -90,8 +126,8 @@ def test_unknown_options_exit_with_2(arguments, capsys):
 def test_help_needs_no_jax(tmp_path):
     script = (
         "import sys\nfrom jaxftc.cli.main import main\n"
-        "for words in (['--help'], ['demo', '--help'], ['simulate', '--help']):\n"
-        "    try: main(words)\n    except SystemExit as stop: assert stop.code == 0\n"
+        "for words in ([], ['demo'], ['simulate'], ['tune'], ['bench']):\n"
+        "    try: main([*words, '--help'])\n    except SystemExit as stop: assert stop.code == 0\n"
         "assert not {'jax', 'mujoco', 'numpy'} & set(sys.modules), 'help imported the heavy packages'"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -117,3 +153,63 @@ def test_demo_from_end_to_end(tmp_path):
     assert all({"id", "claim", "value", "unit", "met"} <= set(claim) for claim in result["claims"])
     page = (tmp_path / "runs" / "demo-1" / "report.html").read_text()
     assert all(claim["id"] and f"{claim['value']:.4g}" in page for claim in result["claims"])
+
+
+def test_a_command_whose_package_is_missing_says_so(monkeypatch, capsys):
+    """The wheel has no benchmarks, but their entry point."""
+    entry = EntryPoint("bench", "no_such_package.cli:Bench", "jaxftc.commands")
+    monkeypatch.setattr("jaxftc.cli.main.entry_points", lambda group: [entry])
+    with pytest.raises(SystemExit) as stop:
+        main(["bench"])
+    assert stop.value.code == 2
+    assert "jaxftc bench is not installed (No module named 'no_such_package'); run it from" in capsys.readouterr().err
+
+
+TINY = [
+    "tune",
+    "--observer",
+    "pi",
+    "--control",
+    "smc",
+    "--steps",
+    "4",
+    "--batch",
+    "2",
+    "--validation",
+    "2",
+    "--held-out",
+    "4",
+]
+TINY += ["--duration", "0.2", "--out", "run", "--json"]
+
+
+@pytest.mark.slow
+def test_tune_killed_and_resumed_is_tune_left_alone(tmp_path):
+    """Kill -9 as soon as there is a checkpoint, then the same command again: the same gains file."""
+    alone, killed = tmp_path / "alone", tmp_path / "killed"
+    for folder in (alone, killed):
+        folder.mkdir()
+    done = run(TINY, alone)
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert set(result["held_out"]) == {"standard", "hard"} and result["held_out"]["hard"].keys() >= {"before", "after"}
+    assert {"steps", "simulations", "seconds", "gains"} <= result.keys() and result["steps"] == 15
+    files = {path.name for path in (alone / "run").iterdir()}
+    assert files == {"checkpoint.npz", "gains.toml", "history.parquet", "report.html", "result.json"}
+    rows = duckdb.sql(f"select * from '{alone / 'run' / 'history.parquet'}'").fetchnumpy()
+    assert rows["step"].tolist() == [5, 10, 15] and "term_tracking" in rows
+    page = (alone / "run" / "report.html").read_text()
+    assert "<script src=" not in page and "Gain after over before" in page
+
+    command = [sys.executable, "-c", "from jaxftc.cli.main import main; main()", *TINY]
+    victim = subprocess.Popen(command, cwd=killed, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (killed / "run" / "checkpoint.npz").exists():
+        assert victim.poll() is None, "it ended before it could be killed"
+    victim.kill()
+    assert victim.wait() == -signal.SIGKILL
+    assert not (killed / "run" / "gains.toml").exists()
+    done = run(TINY, killed)
+    assert done.returncode == 0, done.stderr
+    assert (killed / "run" / "gains.toml").read_bytes() == (alone / "run" / "gains.toml").read_bytes()
+    done = run([*TINY, "--learning-rate", "0.05"], killed)
+    assert done.returncode == 2 and "learning_rate 0.1, here 0.05" in done.stderr

@@ -60,7 +60,7 @@ class Tune(common.Options):
         import jax
 
         from jaxftc import Config, checks, sample_scenarios, save_gains
-        from tuning import report
+        from tuning import report, transform
         from tuning.held_out import compare
         from tuning.loop import fit
 
@@ -73,6 +73,7 @@ class Tune(common.Options):
             rules=self.rules,
             duration=self.duration,
         )
+        free = transform.select(config, self.only, self.freeze)
         start = common.load_or_default(self, config)
         train, validate, noise, unseen = jax.random.split(common.key(self), 4)
         count = self.settings.steps * self.settings.batch
@@ -88,8 +89,7 @@ class Tune(common.Options):
                 training,
                 validation=validation,
                 key=noise,
-                only=self.only,
-                freeze=self.freeze,
+                only=free,
                 shared=self.shared,
                 settings=self.settings,
                 folder=folder,

@@ -6,6 +6,7 @@ entry-point group ``jaxftc.commands``.
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from importlib.metadata import entry_points
 from typing import Any
@@ -24,8 +25,20 @@ def commands() -> dict[str, Any]:
     """All commands by name: our own, then those of installed packages."""
     found = dict(COMMANDS)
     for entry in entry_points(group="jaxftc.commands"):
-        found.setdefault(entry.name, entry.load())
+        try:
+            found.setdefault(entry.name, entry.load())
+        except ModuleNotFoundError as error:
+            found.setdefault(entry.name, _absent(entry.name, error))
     return found
+
+
+def _absent(name: str, error: ModuleNotFoundError) -> Any:
+    """A command that says why it is not there: the wheel leaves out the benchmarks."""
+
+    def run(self: object) -> None:
+        raise ValueError(f"jaxftc {name} is not installed ({error}); run it from a checkout, after pip install -e .")
+
+    return dataclasses.make_dataclass(name.capitalize(), [], namespace={"run": run, "__doc__": "Only from a checkout."})
 
 
 def parse(arguments: list[str] | None = None) -> Any:
