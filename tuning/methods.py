@@ -17,7 +17,7 @@ from jaxftc.gains import Gains
 from tuning import search, transform
 from tuning.descent import Descent
 from tuning.problem import Problem
-from tuning.settings import GRADIENT_COST, Settings, round_length
+from tuning.settings import GRADIENT_COST, ROUND, Settings, round_length
 
 SLOWER = 0.3  # factor on the learning rate with each recovery
 
@@ -128,15 +128,16 @@ class _Descend:
 
 
 class _Sample:
-    """CMA-ES and random search."""
-
-    steps = 1
+    """CMA-ES and random search; a step is a generation, a round costs what one of the gradient's would."""
 
     def __init__(self, problem: Problem, space: transform.Space, batches: Batches, settings: Settings) -> None:
         kind = search.Evolution if settings.method == "cmaes" else search.Random
         self.search = kind(space.size, seed=int(np.asarray(jax.random.key_data(problem.key)).ravel()[-1]))
-        self.rounds = max(1, settings.budget // (self.search.population * settings.batch))
-        self.cost = (self.search.population + 1) * settings.batch
+        generation = self.search.population * settings.batch
+        total = max(1, settings.budget // generation)
+        self.steps = min(total, max(1, ROUND * settings.batch * GRADIENT_COST // generation))
+        self.rounds = total // self.steps
+        self.cost = self.steps * (generation + settings.batch)
         self.batches, self.problem = batches, problem
         self.gains = jit(lambda theta: space.gains(theta, settings.anneal[1]))
 
@@ -145,16 +146,18 @@ class _Sample:
         return self.search.theta
 
     def round(self, index: int) -> tuple[np.ndarray, float]:
-        scenarios, start = self.batches.take(range(index, index + 1))
-        terms: list[np.ndarray] = []
+        means, losses = np.zeros((0, 0)), np.zeros(0)
+        for step in range(index * self.steps, (index + 1) * self.steps):
+            scenarios, start = self.batches.take(range(step, step + 1))
+            scores = []
 
-        def judge(theta: np.ndarray) -> float:
-            scores = self.problem.scores(self.gains(jnp.asarray(theta, float)), scenarios)
-            terms.append(scores.mean(1))
-            return self.problem.loss(scores, start)
+            def judge(theta: np.ndarray) -> float:
+                scores.append(self.problem.scores(self.gains(jnp.asarray(theta, float)), scenarios))  # noqa: B023
+                return self.problem.loss(scores[-1], start)  # noqa: B023
 
-        best = int(np.argmin(self.search.generation(judge)))
-        return terms[best], float("nan")
+            losses = self.search.generation(judge)
+            means = np.stack([score.mean(1) for score in scores])
+        return means[int(np.argmin(losses))], float("nan")
 
     def pack(self) -> dict[str, np.ndarray]:
         return {"told": self.search.told}

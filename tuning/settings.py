@@ -12,6 +12,8 @@ METHODS = ("gradient", "cmaes", "random", "finite")
 OPTIMIZERS = ("adam", "lion", "sgd")
 GRADIENT_COST = 8  # closed-loop simulations that one gradient of one scenario counts as; `jaxftc bench tuning` measures it
 
+ROUND = 5  # gradient steps between two validations, at most
+
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
@@ -64,5 +66,5 @@ class Settings:
 
 
 def round_length(steps: int) -> int:
-    """Steps between two validations: the largest divisor up to 5, so that every round is the same program."""
-    return max(d for d in range(1, 6) if steps % d == 0)
+    """Steps between two validations: the largest divisor up to ROUND, so that every round is the same program."""
+    return max(d for d in range(1, ROUND + 1) if steps % d == 0)
