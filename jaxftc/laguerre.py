@@ -11,16 +11,19 @@ It is the state-space form A, b of Eq. (5) row by row, differentiable in the pol
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import jax.numpy as jnp
 
-from jaxftc.types import Array
+from jaxftc.types import Array, unstack
 
 
 def advance(xi: Array, x: Array, u: Array) -> Array:
     """One tick of the bank: x [n, order, ...], pole xi [n, ...], input u [n, ...]."""
-    rows = [xi * x[:, 0] + jnp.sqrt(1 - xi**2) * u]
-    for i in range(1, x.shape[1]):
-        rows.append(xi * x[:, i] + x[:, i - 1] - xi * rows[-1])
+    now = unstack(x, axis=1)
+    rows = [xi * now[0] + jnp.sqrt(1 - xi**2) * u]
+    for before, this in pairwise(now):
+        rows.append(xi * this + before - xi * rows[-1])
     return jnp.stack(rows, axis=1)
 
 

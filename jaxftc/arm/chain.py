@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.arm.robot import Link, Robot
 from jaxftc.types import Array
+from jaxftc.types import unstack as lanes
 
 Lane = Any  # float or Array [...]
 Vector = tuple[Lane, Lane, Lane]
@@ -34,11 +34,6 @@ class Inertia(NamedTuple):
     mass: Lane  # kg
     moment: Vector  # kg m
     tensor: tuple[Lane, Lane, Lane, Lane, Lane, Lane]  # kg m^2, xx yy zz xy xz yz
-
-
-def lanes(x: Array) -> list[Array]:
-    """[n, ...] as n arrays [...]."""
-    return [jax.lax.index_in_dim(x, i, 0, keepdims=False) for i in range(x.shape[0])]
 
 
 def _mul(a: Lane, b: Lane) -> Lane:
@@ -114,14 +109,14 @@ def scaled_inertias(robot: Robot, mass: Array, payload: Array) -> list[Inertia]:
 class Pose(NamedTuple):
     """Cosine and sine of every hinge, shared by all recursions of one tick."""
 
-    cos: list[Lane]
-    sin: list[Lane]
+    cos: Any  # [n, ...], or n lanes inside a recursion
+    sin: Any
 
 
 def pose(robot: Robot, q: Array) -> Pose:
     """Trigonometry of q [n, ...] rad."""
     turned = q - trailing_constant(robot.q_zero, q) if np.any(robot.q_zero) else q
-    return Pose(lanes(jnp.cos(turned)), lanes(jnp.sin(turned)))
+    return Pose(jnp.cos(turned), jnp.sin(turned))
 
 
 def trailing_constant(values: np.ndarray, like: Array) -> Array:
@@ -162,6 +157,7 @@ def newton_euler(
 
     ``qd`` or ``qdd`` of None stand for zero and cost nothing; M(q) qdd is ``qd=None, gravity=False``.
     """
+    at = Pose(lanes(at.cos), lanes(at.sin))
     speed, spin, lift = ZERO, ZERO, (_constant(-robot.gravity) if gravity else ZERO)
     forces: list[Vector] = []
     moments: list[Vector] = []
@@ -190,7 +186,7 @@ def newton_euler(
 
 def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> list[list[Lane]]:
     """M(q) of the links alone as n x n lanes, by composite inertias from the tool to the base."""
-    n = robot.n
+    n, at = robot.n, Pose(lanes(at.cos), lanes(at.sin))
     matrix: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     composite = Inertia(0.0, ZERO, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     for i in reversed(range(n)):

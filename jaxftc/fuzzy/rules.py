@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.fuzzy.membership import shares
-from jaxftc.types import Array
+from jaxftc.types import Array, unstack
 
 PRINTED = np.array(
     [
@@ -53,7 +53,8 @@ def infer(
     """
     q_share, s_share = shares(q, *q_sets), shares(s, *s_sets)
     total = jnp.zeros(jnp.broadcast_shapes(q.shape, s.shape), q_share.dtype)
-    for row, share in zip(table, q_share, strict=True):
-        levels = [sum(s_share[j] for j in np.flatnonzero(row == level)) for level in range(3)]
-        total = total + share * sum(outputs[level] * grade for level, grade in enumerate(levels))
+    s_shares, values = unstack(s_share), unstack(outputs)
+    for row, share in zip(table, unstack(q_share), strict=True):
+        levels = [sum(s_shares[j] for j in np.flatnonzero(row == level)) for level in range(3)]
+        total = total + share * sum(value * grade for value, grade in zip(values, levels, strict=True))
     return total
