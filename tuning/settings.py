@@ -10,7 +10,7 @@ from jaxftc import checks
 
 METHODS = ("gradient", "cmaes", "random", "finite")
 OPTIMIZERS = ("adam", "lion", "sgd")
-GRADIENT_COST = 8  # closed-loop simulations that one gradient of one scenario counts as; `jaxftc bench tuning` measures it
+GRADIENT_COST = 5  # closed-loop simulations that a gradient of one scenario counts as; `jaxftc bench tuning` measures it
 
 ROUND = 5  # gradient steps between two validations, at most
 

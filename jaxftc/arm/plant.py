@@ -62,7 +62,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
         rows = [chain.lanes(row) for row in chain.lanes(matrix)]
         drive = drive - bias
     else:
-        at = chain.pose(robot, q)
+        at, qd = apart(chain.pose(robot, q), qd)
         inertias = chain.scaled_inertias(robot, plant.mass, plant.payload)
         rows = chain.mass_matrix(robot, inertias, at)
         drive = drive - chain.stack(chain.newton_euler(robot, inertias, at, chain.lanes(qd), None), drive)
