@@ -21,6 +21,8 @@ def test_figures_of_a_known_case():
     assert c.term_ratio("a").value == 0.5 and c.term_ratio("b") == (1.0, 1.0, 1.0)
     assert c.median[0].value == 2.0
     assert c.as_dict()["terms"]["a"]["before"] == 2.0
+    assert c.diverged == (0, 0)
+    assert comparison(before, np.array([[10.0, 10.0, 1.0], [10.0, 0.0, 10.0]])).diverged == (0, 1)
 
 
 def test_bootstrap_intervals_cover_as_often_as_they_say():

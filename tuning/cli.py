@@ -154,6 +154,8 @@ def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict
 
 def summary(result: Result, comparisons: list[Comparison]) -> str:
     """The held-out comparison as text."""
+    from tuning.problem import LOST
+
     lines = [
         f"{result.steps} steps, {result.simulations} closed-loop simulations, {result.seconds:.0f} s: {result.stopped}; "
         f"gains of step {result.best_step}",
@@ -168,6 +170,8 @@ def summary(result: Result, comparisons: list[Comparison]) -> str:
         )
         middle = [f"{m.value:.3f} [{m.low:.3f}, {m.high:.3f}]" for m in c.median]
         lines.append(f"  median over scenarios {middle[0]} -> {middle[1]}")
+        if any(c.diverged):
+            lines.append(f"  DIVERGED: {c.diverged[0]} -> {c.diverged[1]} runs, which count {LOST:g} in every term")
         for term, b, a, weight in zip(c.names, c.before.mean(1), c.after.mean(1), c.weights, strict=True):
             note = "  WORSE by more than 10 %" if a > 1.1 * b + 1e-9 else ""
             lines.append(f"  {term:12} {b:8.4f} -> {a:8.4f}   weight {weight:g}{note}")

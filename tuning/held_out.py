@@ -14,7 +14,7 @@ from jaxftc.faults.sample import sample_scenarios
 from jaxftc.faults.scenario import Scenario
 from jaxftc.gains import Gains
 from jaxftc.types import Array
-from tuning.problem import Problem
+from tuning.problem import LOST, Problem
 from tuning.terms import OBJECTIVE, Term
 
 PRESETS = ("standard", "hard")
@@ -59,6 +59,11 @@ class Comparison(NamedTuple):
         before, after = self.weights @ self.before, self.weights @ self.after
         return tuple(bootstrap(x[None], lambda y: np.median(y[0], -1)) for x in (before, after))  # pyright: ignore[reportReturnType]
 
+    @property
+    def diverged(self) -> tuple[int, int]:
+        """Runs that diverged, before and after; they count ``LOST`` in every term."""
+        return int((self.before == LOST).all(0).sum()), int((self.after == LOST).all(0).sum())
+
     def term_ratio(self, name: str) -> Interval:
         """Mean of a term after over before; 1 where it was and is 0."""
         k = self.names.index(name)
@@ -79,6 +84,8 @@ class Comparison(NamedTuple):
             "before": before,
             "after": after,
             "n": self.before.shape[1],
+            "diverged_before": self.diverged[0],
+            "diverged_after": self.diverged[1],
             "ratio": self.ratio._asdict(),
             "median_before": median[0],
             "median_after": median[1],

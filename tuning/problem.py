@@ -61,10 +61,13 @@ class Problem:
         return float(self.weights @ (scores.mean(1) + GUARD * np.maximum(scores.mean(1) - start.mean(1), 0.0)))
 
     def terms(self, key: Array, gains: Gains, scenarios: Scenario) -> Array:
-        """Terms [terms, B] of scenarios with a trailing axis, traced; gains may carry the same axis."""
+        """Terms [terms, B] of scenarios with a trailing axis, traced; gains may carry the same axis.
+
+        A run with a term that is not finite has diverged: it counts ``LOST`` in every term.
+        """
         run = Run(self.config, gains, scenarios, simulate(self.config, gains, scenarios, key))
         values = jnp.stack([jnp.broadcast_to(term.value(run), scenarios.id.shape) for term in self.objective.values()])
-        return jnp.where(jnp.isfinite(values), values, LOST)
+        return jnp.where(jnp.isfinite(values).all(0), values, LOST)
 
     def at(self, space: Space) -> Callable[[Array, Array, Array | float, Scenario], Array]:
         """(key, points [size, B], widen, scenarios) to terms [terms, B], one theta a scenario. To be traced."""

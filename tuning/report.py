@@ -55,7 +55,8 @@ def _table(c: Comparison) -> str:
         for name, b, a, r in rows
     )
     head = "<tr><th>mean of term</th><th></th><th></th><th>before</th><th>after</th><th>ratio, 95 % interval</th></tr>"
-    return f"<h3>{html.escape(title)}</h3><table>{head}{cells}</table>"
+    lost = f"<p class='no'>diverged: {c.diverged[0]} to {c.diverged[1]} runs</p>" if any(c.diverged) else ""
+    return f"<h3>{html.escape(title)}</h3>{lost}<table>{head}{cells}</table>"
 
 
 def loss_figure(result: Result) -> go.Figure:
