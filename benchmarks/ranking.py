@@ -108,7 +108,8 @@ def _conditions(scenarios: Scenario) -> np.ndarray:
 
 
 def _error(share: np.ndarray) -> np.ndarray:
-    """An error over its tolerance from the share x / (1 + x) that is its term."""
+    """An error over its tolerance from the share x / (1 + x) that is its term; a run that diverged has a huge one."""
+    share = np.minimum(share, 1 - 1e-6)
     return share / (1 - share)
 
 
