@@ -130,9 +130,9 @@ def _curve(
 
 
 def reached(curve: Curve, level: float, axis: str = "simulations") -> float:
-    """Simulations (or seconds) at which a curve first is at or below a level; infinite if never."""
-    at = np.flatnonzero(curve.objective <= level)
-    return float(getattr(curve, axis)[at[0]]) if at.size else float("inf")
+    """Simulations (or seconds) at which a curve, past its start, is first at or below a level; infinite if never."""
+    at = np.flatnonzero(curve.objective[1:] <= level)
+    return float(getattr(curve, axis)[1:][at[0]]) if at.size else float("inf")
 
 
 def verdicts(curves: list[Curve]) -> dict[str, Any]:

@@ -1,0 +1,39 @@
+"""The figures of a tuning run show what they say."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxftc
+from tuning import OBJECTIVE, Progress, Result, report
+
+
+def test_loss_figure_has_every_term():
+    rows = np.arange(3.0)
+    history = {name: rows for name in (*Progress._fields, *(f"term_{name}" for name in OBJECTIVE))}
+    result = Result(None, 2, history, [], "all steps done", 2, 1.0, 2)
+    names = {trace.name for trace in report.loss_figure(result).data}
+    assert set(OBJECTIVE) <= names and "validation loss" in names
+
+
+def test_gains_figure_shows_what_moved_and_only_that(config):
+    before = jaxftc.default_gains(config)
+    lam = before.control.lam * jnp.arange(1.0, 7.0)
+    after = dataclasses.replace(before, control=dataclasses.replace(before.control, lam=lam))
+    (dots,) = report.gains_figure(config, before, after).data
+    assert set(dots.y) == {"control.lam"} and np.allclose(dots.x, np.arange(1, 7))
+    assert dots.text[1] == "control.lam[1]: 20 to 40 1/s"
+
+
+def test_surface_figure_is_table_1(config):
+    gains = jaxftc.default_gains(config)
+    before, _, after, _ = report.surface_figure(config, gains, gains).data
+    np.testing.assert_array_equal(before.z, after.z)
+    corner = (
+        before.z[0, 0],
+        before.z[0, -1],
+        before.z[-1, 0],
+        before.z[-1, -1],
+    )  # (s, q) at the ends: NB-NB, NB-PB, PB-NB, PB-PB
+    np.testing.assert_allclose(corner, (2.5, 0.5, 0.5, 2.5), atol=0.05)
