@@ -22,7 +22,7 @@ class Bench(common.Options):
     """Benchmarks, side by side in one run; writes result.json and report.html.
 
     tuning: gradient, CMA-ES, random search and finite differences, held-out objective over simulations and over time.
-    ranking: the paper's two rankings, every observer and controller tuned with the same budget.
+    ranking: the paper's two rankings, every observer and controller tuned from its default gains with the same budget.
     """
 
     suite: tyro.conf.Positional[Literal["tuning", "ranking"]] = "tuning"
@@ -101,10 +101,12 @@ def tuning_text(cost: float, verdicts: dict[str, Any]) -> str:
     head = f"{'method':10}{'held out':>10}{'simulations':>13}{'s':>8}{'compile s':>11}  gradient reaches it with"
     lines = [f"a gradient counts as {cost:.1f} simulations, measured", "", head, "-" * len(head)]
     for method, v in verdicts.items():
-        fewer = ", ".join(f"{x:.1f}" for x in v["gradient_needs_times_fewer"])
+        fewer = ", ".join("-" if x is None else f"{x:.1f}" for x in v["gradient_needs_times_fewer"])
+        middle, compiled = v["gradient_needs_times_fewer_median"], v["compile_s"]
+        verdict = "not better than the start" if middle is None else f"{middle:.1f} times fewer (by seed: {fewer})"
         lines.append(
-            f"{method:10}{v['final_median']:10.3f}{v['simulations']:13.0f}{v['seconds']:8.0f}{v['compile_s']:11.0f}"
-            f"  {v['gradient_needs_times_fewer_median']:.1f} times fewer (by seed: {fewer})"
+            f"{method:10}{v['final_median']:10.3f}{v['simulations']:13.0f}{v['seconds']:8.0f}"
+            f"{'in there' if compiled is None else f'{compiled:.0f}':>11}  {verdict}"
         )
     return "\n".join(lines)
 

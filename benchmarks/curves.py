@@ -37,9 +37,9 @@ class Curve(NamedTuple):
     method: str
     seed: int
     simulations: np.ndarray  # [points] closed-loop runs spent
-    seconds: np.ndarray  # [points] without compilation
+    seconds: np.ndarray  # [points] without compilation, where that could be told
     objective: np.ndarray  # [points] held out
-    compile_s: float
+    compile_s: float | None  # None for a method of one round
 
 
 def measure(
@@ -82,12 +82,10 @@ def gradient_cost(config: Config, gains: Gains, settings: Settings) -> float:
     start = jnp.zeros((len(OBJECTIVE), settings.batch))
     slope = jit(problem.slope(space, settings.mode))
     theta = jnp.zeros(space.size)
-    copies = jnp.broadcast_to(theta[:, None], (space.size, settings.batch))
-    forward = jit(problem.at(space))
     times = []
     for program in (
         lambda: slope(problem.key, theta, jnp.ones(()), scenarios, start),
-        lambda: forward(problem.key, copies, 1.0, scenarios),
+        lambda: problem.run(gains, scenarios),
     ):
         jax.block_until_ready(program())
         runs = []
@@ -115,7 +113,7 @@ def _curve(
         simulations += np.array([p.step for p in progress]) * settings.batch * (cost - GRADIENT_COST)
     seconds = np.array([p.seconds for p in progress])
     rounds = np.diff(seconds, prepend=0.0)
-    compiled = max(0.0, rounds[0] - np.median(rounds[1:])) if len(rounds) > 1 else 0.0
+    compiled = max(0.0, float(rounds[0] - np.median(rounds[1:]))) if len(rounds) > 1 else None
     wanted = np.geomspace(simulations[0], simulations[-1], POINTS)
     rows = np.unique(np.searchsorted(simulations, wanted * (1 - 1e-9)))
     objective = [judge(path[row][1]) for row in rows]
@@ -123,9 +121,9 @@ def _curve(
         method,
         seed,
         np.concatenate([[0.0], simulations[rows]]),
-        np.concatenate([[0.0], seconds[rows] - compiled]),
+        np.concatenate([[0.0], seconds[rows] - (compiled or 0.0)]),
         np.array([before, *objective]),
-        float(compiled),
+        compiled,
     )
 
 
@@ -133,6 +131,16 @@ def reached(curve: Curve, level: float, axis: str = "simulations") -> float:
     """Simulations (or seconds) at which a curve, past its start, is first at or below a level; infinite if never."""
     at = np.flatnonzero(curve.objective[1:] <= level)
     return float(getattr(curve, axis)[1:][at[0]]) if at.size else float("inf")
+
+
+def _times_fewer(gradient: Curve, other: Curve) -> float | None:
+    """How many times fewer simulations the gradient needs for what another method ends at; 0 if it never gets there.
+
+    None where that method is no better than the start: there is nothing to reach.
+    """
+    if other.objective[-1] >= other.objective[0]:
+        return None
+    return float(other.simulations[-1] / reached(gradient, other.objective[-1]))
 
 
 def verdicts(curves: list[Curve]) -> dict[str, Any]:
@@ -143,15 +151,15 @@ def verdicts(curves: list[Curve]) -> dict[str, Any]:
     for method in METHODS:
         mine = [by[method, seed] for seed in seeds]
         levels = [c.objective[-1] for c in mine]
-        gradient = [reached(by["gradient", seed], level) for seed, level in zip(seeds, levels, strict=True)]
-        fewer = [float(c.simulations[-1] / g) for c, g in zip(mine, gradient, strict=True)]
+        fewer = [_times_fewer(by["gradient", c.seed], c) for c in mine]
+        counted = [times for times in fewer if times is not None]
         found[method] = {
             "final_median": float(np.median(levels)),
             "final": levels,
             "simulations": float(np.median([c.simulations[-1] for c in mine])),
             "seconds": float(np.median([c.seconds[-1] for c in mine])),
-            "compile_s": float(max(c.compile_s for c in mine)),
+            "compile_s": mine[0].compile_s,
             "gradient_needs_times_fewer": fewer,
-            "gradient_needs_times_fewer_median": float(np.median(fewer)),
+            "gradient_needs_times_fewer_median": float(np.median(counted)) if counted else None,
         }
     return found

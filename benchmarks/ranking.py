@@ -14,16 +14,15 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import metrics
 from jaxftc.config import CONTROLS, OBSERVERS, Config
-from jaxftc.control.gain import alpha_online
+from jaxftc.control import gain
 from jaxftc.defaults import default_gains
 from jaxftc.faults.sample import sample_scenarios
 from jaxftc.faults.scenario import CONDITIONS, Scenario
-from jaxftc.gains import Gains, align
+from jaxftc.gains import Gains
 from jaxftc.types import Array
 from tuning.held_out import Interval, bootstrap
 from tuning.loop import fit
@@ -157,8 +156,7 @@ def _pair(ranking: str, condition: int, before: str, after: str, was: np.ndarray
 def surface(config: Config, gains: Gains) -> Surface:
     """alpha_online over the ranges of Table 1: its span, and how much of it each input explains."""
     q, s = np.meshgrid(np.deg2rad(np.linspace(-100, 100, 41)), np.linspace(-1, 1, 41))
-    flat = [jnp.asarray(np.tile(x.ravel(), (config.n, 1)), gains.control.floor.dtype) for x in (q, s)]
-    value = np.asarray(alpha_online(config, align(gains, 1).control, *flat), float)[0].reshape(q.shape)
+    value = gain.surface(config, gains, q, s)
     spread = max(value.var(), 1e-12)
     return Surface(
         float(value.min()), float(value.max()), float(value.mean(0).var() / spread), float(value.mean(1).var() / spread)

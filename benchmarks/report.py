@@ -51,7 +51,8 @@ def ranking_page(pairs: list[Pair], notes: dict[str, Any]) -> str:
     head = "<tr><th>ranking</th><th>condition</th><th>pair</th><th>median ratio, 95 %</th><th>n</th><th>result</th></tr>"
     rows = "".join(
         f"<tr><td>{p.ranking}</td><td>{p.condition}</td><td>{p.before.upper()} to {p.after.upper()}</td>"
-        f"<td>{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]</td><td>{p.n}</td><td>{p.word}</td></tr>"
+        f"<td>{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]</td><td>{p.n}</td>"
+        f"<td>{p.word}{f' ({100 * p.louder:.0f} % cannot be made to chatter alike)' if p.louder else ''}</td></tr>"
         for p in pairs
     )
     text = "".join(

@@ -29,10 +29,17 @@ def test_how_much_sooner_the_gradient_is_there(found):
     verdicts = curves.verdicts(found)
     assert verdicts["cmaes"]["gradient_needs_times_fewer"] == [2.0, 1.0]  # at 100 of 200, at 200 of 200
     assert verdicts["random"]["gradient_needs_times_fewer"] == [2.0, 1.0]
+    assert verdicts["finite"]["gradient_needs_times_fewer"] == [None, None]  # no better than the start
+    assert verdicts["finite"]["gradient_needs_times_fewer_median"] is None
     assert verdicts["gradient"]["final_median"] == 1.0 and verdicts["gradient"]["simulations"] == 200.0
     assert curves.reached(found[0], 0.5) == np.inf and curves.reached(found[0], 2.0, "seconds") == 2.0
     text, page = tuning_text(5.0, verdicts), bench_report.curves_page(found, 5.0)
-    assert "a gradient counts as 5.0 simulations" in text and "2.0, 1.0" in text and "held-out objective" in page
+    assert (
+        "a gradient counts as 5.0 simulations" in text
+        and "2.0, 1.0" in text
+        and "not better than the start" in text
+        and "held-out objective" in page
+    )
 
 
 def test_a_curve_counts_gradients_at_their_measured_cost_and_leaves_out_compilation():
@@ -48,6 +55,7 @@ def test_a_curve_counts_gradients_at_their_measured_cost_and_leaves_out_compilat
     assert made.compile_s == 28.0 and made.seconds.tolist()[-1] == 8.0
     other = curves._curve("random", 3, path, GRADIENT_COST + 2.0, settings, lambda step: 1.0, 9.0)
     assert other.simulations[-1] == path[-1][0].simulations
+    assert curves._curve("finite", 3, path[:1], 5.0, settings, lambda step: 1.0, 9.0).compile_s is None
 
 
 def test_ratios_are_paired_and_named():

@@ -135,6 +135,17 @@ def test_help_needs_no_jax(tmp_path):
     assert "demo" in done.stdout and "--scenario" in done.stdout
 
 
+def test_a_robot_file_needs_no_word_about_friction(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("arm.xml").write_text(jaxftc.puma560().mjcf)
+    for command in (["simulate"], ["tune"], ["bench", "ranking"]):
+        assert common.load_arm(parse([*command, "--robot", "arm.xml"])).n == 6
+    assert common.load_arm(parse(["tune"])) == jaxftc.puma560()
+    assert common.load_arm(parse(["tune", "--no-coulomb"])) == jaxftc.puma560(coulomb=False)
+    with pytest.raises(ValueError, match="--coulomb is for the built-in arm"):
+        common.load_arm(parse(["simulate", "--robot", "arm.xml", "--coulomb"]))
+
+
 def test_run_folders_are_numbered(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     options = parse(["simulate"])
@@ -160,7 +171,7 @@ def test_a_command_whose_package_is_missing_says_so(monkeypatch, capsys):
     entry = EntryPoint("bench", "no_such_package.cli:Bench", "jaxftc.commands")
     monkeypatch.setattr("jaxftc.cli.main.entry_points", lambda group: [entry])
     with pytest.raises(SystemExit) as stop:
-        main(["bench"])
+        main(["bench", "tuning"])
     assert stop.value.code == 2
     assert "jaxftc bench is not installed (No module named 'no_such_package'); run it from" in capsys.readouterr().err
 

@@ -9,7 +9,7 @@ import pytest
 
 import jaxftc
 from jaxftc.faults.scenario import take
-from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, methods, search
+from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search
 from tuning.settings import GRADIENT_COST, round_length
 
 FREE = ["control", "diagnosis", "observer.alpha_p"]
@@ -126,11 +126,43 @@ def test_finite_differences_descend(arm, scenarios):
 
 
 def test_what_runs_away_is_undone_and_told(arm, scenarios):
-    """A term that likes no theta but the start: every step makes it worse."""
-    objective = {
-        "away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0) + 0 * r.trace.q[0, 0])
-    }
-    settings = dataclasses.replace(SMALL, method="random", steps=40, patience=1.0)
+    """A term that likes no theta but the start, and steps that are far too long."""
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.01).mean(0))}
+    settings = dataclasses.replace(SMALL, steps=30, learning_rate=3.0, patience=1.0)
+    result = run(arm, scenarios, settings=settings, objective=objective, only=["control.lam"])
+    assert len(result.events) == 4 and "away rose from" in result.events[0]
+    assert "the loss ran away 4 times" in result.stopped and "lower learning_rate" in result.stopped
+    same(result.gains, jaxftc.default_gains(arm))  # the start, to the bit
+
+
+class Plain:
+    size = 1
+
+
+class Constant:
+    """A problem whose slope is 1 everywhere."""
+
+    key = jax.random.key(0)
+
+    def slope(self, space, mode):
+        return lambda key, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))
+
+
+def test_after_a_restart_the_rate_goes_on_from_where_it_was():
+    descent = methods.Descent(Constant(), Plain(), mode="reverse", optimizer="sgd", rate=0.1, steps=20)
+
+    def length(step, rate):
+        state = descent.init(np.zeros(1), step, rate)
+        return abs(float(descent.round(state, np.ones(1), jnp.zeros((1, 1)), np.zeros((1, 1)))[0].theta[0]))
+
+    done, _ = descent.round(descent.init(np.zeros(1)), np.ones(15), jnp.zeros((15, 1)), np.zeros((15, 1)))
+    assert done.step == 15
+    assert length(15, 0.3) == pytest.approx(0.3 * length(15, 1.0), rel=1e-5)
+    assert length(15, 1.0) < 0.3 * length(1, 1.0)  # it has decayed, and a restart does not warm it up again
+
+
+def test_searches_have_nothing_to_undo(arm, scenarios):
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0))}
 
     class Wild(search.Random):
         def generation(self, judge):
@@ -138,12 +170,11 @@ def test_what_runs_away_is_undone_and_told(arm, scenarios):
             self.theta = self.theta + 1.0
             return losses
 
+    settings = dataclasses.replace(SMALL, method="random", steps=40, patience=1.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods.search, "Random", Wild)
         result = run(arm, scenarios, settings=settings, objective=objective, only=["control.lam"])
-    assert len(result.events) == 4 and "away rose from" in result.events[0]
-    assert "the loss ran away 4 times" in result.stopped and "lower learning_rate" in result.stopped
-    same(result.gains, jaxftc.default_gains(arm))  # the start, to the bit
+    assert (result.events, result.stopped) == ([], "all steps done")
 
 
 def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenarios):
@@ -168,6 +199,8 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
     [
         ({"scenarios": slice(0)}, "a set of at least one with a leading axis"),
         ({"scenarios": slice(3)}, "3 scenarios are too few to keep some back for validation; give at least 4"),
+        ({"validation": slice(0)}, "validation must be a set of at least one"),
+        ({"scenarios": 0}, r"scenarios must be a set .* got ids of shape \[\]; draw them"),
         ({"objective": {}}, "the objective has no terms"),
         ({"freeze": ["observer", "diagnosis", "control"]}, "every gain is frozen"),
         ({"only": ["control.lamb"]}, "did you mean 'control.lam'"),
@@ -180,6 +213,8 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
         gains = jaxftc.default_gains(arm)
         start = dataclasses.replace(gains, control=dataclasses.replace(gains.control, lam=jnp.full(6, change.pop("start"))))
     some = take(scenarios, change.pop("scenarios", slice(None)))
+    if "validation" in change:
+        change["validation"] = take(scenarios, change["validation"])
     with pytest.raises(ValueError, match=message):
         run(arm, some, start, **change)
 
@@ -202,6 +237,23 @@ def test_settings_are_checked(field, value, message):
 
 def test_rounds_divide_the_steps():
     assert [round_length(steps) for steps in (1, 7, 8, 10, 100)] == [1, 1, 4, 5, 5]
+
+
+def test_validation_has_a_noise_of_its_own(arm, scenarios):
+    training, validation = loop._split(arm, jaxftc.default_gains(arm), scenarios, take(scenarios, slice(5)), SMALL)
+    assert not set(training.id) & set(validation.id)
+    np.testing.assert_array_equal(np.diff(validation.id), np.diff(scenarios.id[:5]))
+
+
+def test_what_the_checkpoint_belongs_to(arm, scenarios):
+    """Gains that move alike are another theta of the same length."""
+    start, problem = jaxftc.default_gains(arm), Problem(arm, OBJECTIVE, jax.random.key(0), 4)
+    some = take(scenarios, slice(4))
+    identities = []
+    for shared in ("control.lam", "control.eps"):
+        space = methods.transform.space(arm, start, ["control.lam", "control.eps"], [shared])
+        identities.append(checkpoint.identity(problem, space, some, some, SMALL))
+    assert space.size == 7 and identities[0] != identities[1]
 
 
 def test_every_scenario_is_used_before_any_is_used_again(arm, scenarios):

@@ -39,8 +39,7 @@ def test_zero_is_the_start(config, start, everything):
     for block, name, spec in specs():
         path = f"{block}.{name}"
         closed = spec.axes == ("n",) and (leaf(start, path) == spec.high).any()  # an end of an interval moves inside
-        smallest = path in transform.SMALLEST
-        tolerance = transform.INSET if closed else transform.SMALLEST.get(path, 0.0) if smallest else 1e-9
+        tolerance = transform.INSET if closed else transform.SMALLEST.get(path, 1e-9)
         np.testing.assert_allclose(leaf(moved, path), leaf(start, path), rtol=1e-9, atol=tolerance * 1.0001, err_msg=path)
 
 
@@ -72,6 +71,15 @@ def test_gains_move_by_factors_and_odds(config, start):
     np.testing.assert_allclose(odds(moved.control.speed_weight) / odds(start.control.speed_weight), np.e)
 
 
+def test_a_gain_that_starts_at_0_can_move(config, start):
+    still = dataclasses.replace(start, observer=dataclasses.replace(start.observer, alpha_sm0=jnp.zeros(6)))
+    space = transform.space(config, still, ["observer.alpha_sm0", "control.k_b"])
+    moved = space.gains(jnp.full(space.size, transform.REACH))
+    np.testing.assert_allclose(moved.observer.alpha_sm0, 20 * 1e-3 * 30.0)
+    np.testing.assert_allclose(moved.control.k_b, 20.0)
+    assert (space.deploy(np.zeros(space.size)).observer.alpha_sm0 == 0).all()
+
+
 def test_shared_gains_move_alike_from_their_own_values(config, start):
     own = dataclasses.replace(start.observer, alpha_i=jnp.arange(1.0, 7.0) * 100)
     space = transform.space(config, dataclasses.replace(start, observer=own), ["observer.alpha_i"], shared=["observer"])
@@ -88,6 +96,12 @@ def test_poles_move_together_and_the_read_out_follows(config, start):
     np.testing.assert_allclose(gains.arx.kappa_a, kappa_a, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(gains.arx.kappa_b[:, 0], kappa_b, rtol=1e-12)
     assert POLES not in transform.select(config)  # poles are tuned only if named
+    off = dataclasses.replace(start, arx=dataclasses.replace(start.arx, offset=jnp.full(6, 1e-3)))
+    space = transform.space(config, off, [POLES])
+    theta = np.full(space.size, 0.1)
+    for path in ("arx.kappa_a", "arx.kappa_b", "arx.offset"):
+        trained, deployed = (leaf(g, path) for g in (space.gains(jnp.asarray(theta)), space.deploy(theta)))
+        np.testing.assert_allclose(trained, deployed, rtol=1e-9, atol=1e-15)
 
 
 def test_a_set_per_scenario_is_the_sets_one_by_one(config, everything):
@@ -137,6 +151,11 @@ def test_names_and_blocks_select(config):
 def test_what_cannot_be_selected_is_refused(config, only, freeze, message):
     with pytest.raises(ValueError, match=message):
         transform.select(config, only, freeze)
+
+
+def test_poles_of_the_torque_form_cannot_be_tuned(config):
+    with pytest.raises(ValueError, match="nothing to tune"):
+        transform.select(dataclasses.replace(config, input="torque"), ["arx"])
 
 
 def test_poles_that_differ_cannot_be_tuned(config, start):

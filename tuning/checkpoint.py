@@ -23,19 +23,19 @@ NAME = "checkpoint.npz"
 
 
 def identity(problem: Problem, space: Space, training: Scenario, validation: Scenario, settings: Settings) -> dict[str, Any]:
-    """What must be the same for a run to go on: everything that its result depends on."""
+    """What must be the same for a run to go on to the same result; the code of a user's own terms is not looked at."""
     config = problem.config
     structure = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.name != "robot"}
     return {
         "version": __version__,
         "config": header(config) | structure,
         "settings": {name: list(v) if isinstance(v, tuple) else v for name, v in dataclasses.asdict(settings).items()},
-        "free gains": [*space.names, space.size],
+        "free gains": [[f"{leaf.block}.{leaf.name}", list(leaf.shape)] for leaf in space.leaves],
         "objective": {name: term.weight for name, term in problem.objective.items()},
         "start": _digest(space.start),
         "scenarios": _digest((training, validation)),
         "key": _digest(jax.random.key_data(problem.key)),
-        "devices": jax.local_device_count(),
+        "machine": {"jax": jax.__version__, "devices": jax.local_device_count()},
     }
 
 
@@ -71,7 +71,7 @@ def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
         details = f" ({', '.join(changes)})" if changes else ""
         raise ValueError(
             f"{path} belongs to a run with another {', another '.join(other)}{details}; "
-            "give the same options to go on with it, or another folder"
+            "go on with it under the same options, version and number of devices, or give another folder"
         )
     return arrays
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import secrets
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from tuning.held_out import Comparison
     from tuning.loop import Progress, Result
 
+HELD_OUT = 0x48454C44  # keeps held-out scenarios apart from those of a training seed with the same number
+
 
 @dataclasses.dataclass
 class Tune(common.Options):
@@ -34,7 +38,7 @@ class Tune(common.Options):
     coulomb: bool = True
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
-    """Seed of the scenarios, their noise, the search and the held-out scenarios."""
+    """Seed of the scenarios, their noise and the search."""
     preset: Literal["standard", "hard", "doubles", "paper"] = "standard"
     """Laws that the training scenarios are drawn from."""
     observer: Literal["pi", "eso", "ts"] = "ts"
@@ -53,6 +57,8 @@ class Tune(common.Options):
     """Gains or blocks to move on all joints alike; the others move joint by joint."""
     held_out: int = 512
     """Scenarios of each preset, standard and hard, on which the gains are compared in the end."""
+    held_out_seed: int | None = None
+    """Seed of those scenarios; if not given a fresh one, which result.json keeps."""
 
     def run(self) -> None:
         """Tune, compare, write."""
@@ -75,7 +81,7 @@ class Tune(common.Options):
         )
         free = transform.select(config, self.only, self.freeze)
         start = common.load_or_default(self, config)
-        train, validate, noise, unseen = jax.random.split(common.key(self), 4)
+        train, validate, noise = jax.random.split(common.key(self), 3)
         count = self.settings.steps * self.settings.batch
         training = sample_scenarios(train, count, self.preset, config=config)
         validation = sample_scenarios(validate, self.settings.validation, self.preset, config=config)
@@ -97,8 +103,11 @@ class Tune(common.Options):
             )
         save_gains(folder / "gains.toml", result.gains, config)
         write_parquet(folder / "history.parquet", result.history)
+        seed = secrets.randbits(31) if self.held_out_seed is None else self.held_out_seed
+        unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
         comparisons = compare(config, start, result.gains, unseen, n=self.held_out, batch=self.settings.batch)
-        text = common.write_json(folder / "result.json", as_json(result, comparisons, folder))
+        record = as_json(result, comparisons, folder) | {"held_out_seed": seed}
+        text = common.write_json(folder / "result.json", record)
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
         common.say(self, summary(result, comparisons))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
@@ -107,7 +116,7 @@ class Tune(common.Options):
 
 
 class Bar:
-    """Progress on stderr: loss, gradient norm, scenario steps a second, time left."""
+    """Progress on stderr: loss, gradient norm, time left, scenario steps a second (a gradient counts as several runs)."""
 
     def __init__(self, config: Config) -> None:
         from tqdm import tqdm
@@ -131,7 +140,11 @@ class Bar:
         norm = "" if progress.gradient_norm != progress.gradient_norm else f", |gradient| {progress.gradient_norm:.2g}"
         text = f"loss {progress.loss:.3f}{norm}, validation {progress.validation:.3f}, {rate:.1e} scenario-steps/s"
         self.bar.set_postfix_str(text, refresh=False)
-        self.bar.update(progress.step - self.bar.n)
+        if self.last is None:  # time left is judged by the rounds that follow: this one compiled, or was a resumed run's
+            self.bar.initial, self.bar.n, self.bar.start_t = progress.step, progress.step, time.time()
+            self.bar.refresh()
+        else:
+            self.bar.update(progress.step - self.bar.n)
         self.last = progress
 
 

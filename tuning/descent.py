@@ -31,6 +31,7 @@ class State(NamedTuple):
 
     theta: Array  # [size]
     optimizer: optax.OptState
+    step: Array  # [] steps done, recoveries included: the schedule goes on after one
     rate: Array  # [] 1, factor on the learning rate; falls with every recovery
 
 
@@ -39,37 +40,37 @@ class Steps(NamedTuple):
 
     terms: Array  # [steps, terms] means over the batch
     gradient_norm: Array  # [steps]
-    cut: Array  # [steps] share of the scenarios whose gradient was not finite
 
 
 class Descent:
     """Steps of an optax optimiser, a round at a time as one scan.
 
-    Clipping is by scenario (``Problem.slope``), then by the norm of the whole step; the learning rate warms up and decays as
-    a cosine; theta stays within ``REACH``.
+    Clipping is by scenario (``Problem.slope``), so that no gradient is longer than one scenario's; the learning rate warms up
+    and decays as a cosine; theta stays within ``REACH``.
     """
 
     def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: str, rate: float, steps: int) -> None:
         warm = max(1, round(WARM_UP * steps))
         schedule = optax.warmup_cosine_decay_schedule(rate / 3, rate, warm, max(steps, warm + 1), LAST_RATE * rate)
-        self.optimizer = optax.chain(optax.clip_by_global_norm(1.0), OPTIMIZERS[optimizer](schedule))
+        self.optimizer = OPTIMIZERS[optimizer](1.0)  # the rate comes after it: it must outlast a restart
         slope = problem.slope(space, mode)
 
         def one(key: Array, state: State, x: tuple[Array, Scenario, Array]) -> tuple[State, Steps]:
             terms, slopes = slope(key, state.theta, *x)
             gradient = slopes.mean(1)
             change, inner = self.optimizer.update(gradient, state.optimizer, state.theta)
-            theta = jnp.clip(state.theta + state.rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
-            info = Steps(terms.mean(1), optax.global_norm(gradient), (slopes == 0).all(0).mean())
-            return State(theta, inner, state.rate), info
+            rate = state.rate * schedule(state.step)
+            theta = jnp.clip(state.theta + rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
+            return State(theta, inner, state.step + 1, state.rate), Steps(terms.mean(1), optax.global_norm(gradient))
 
         self._key = problem.key
         self._round = jit(lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs))
 
-    def init(self, theta: np.ndarray, rate: float = 1.0) -> State:
+    def init(self, theta: np.ndarray, step: int = 0, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""
         point = jnp.asarray(theta, float)
-        return jax.tree.map(np.asarray, State(point, self.optimizer.init(point), jnp.asarray(rate, point.dtype)))
+        state = State(point, self.optimizer.init(point), jnp.asarray(step), jnp.asarray(rate, point.dtype))
+        return jax.tree.map(np.asarray, state)
 
     def round(self, state: State, widen: np.ndarray, scenarios: Scenario, start: np.ndarray) -> tuple[State, Steps]:
         """``len(widen)`` steps; scenarios [steps, ..., B] and the terms of the starting gains on them [steps, terms, B]."""

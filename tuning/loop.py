@@ -100,12 +100,13 @@ def _split(
     config: Config, gains: Gains, scenarios: Scenario, validation: Scenario | None, settings: Settings
 ) -> tuple[Scenario, Scenario]:
     """(training, validation), as NumPy arrays."""
+    for name, part in (("scenarios", scenarios), ("validation", validation)):
+        if part is not None and (np.ndim(part.id) != 1 or not len(part.id)):
+            raise ValueError(
+                f"{name} must be a set of at least one with a leading axis, got ids of shape {list(np.shape(part.id))}; "
+                "draw them with jaxftc.sample_scenarios"
+            )
     scenarios = take(scenarios, slice(None))
-    if np.ndim(scenarios.id) != 1 or not len(scenarios.id):
-        raise ValueError(
-            f"scenarios must be a set of at least one with a leading axis, got ids of shape {np.shape(scenarios.id)}; "
-            "draw them with jaxftc.sample_scenarios"
-        )
     if validation is None:
         count = min(settings.validation, len(scenarios.id) // 4)
         if not count:
@@ -114,6 +115,7 @@ def _split(
         scenarios = take(scenarios, slice(-count))
     else:
         kept = take(validation, slice(None))
+        kept = kept._replace(id=kept.id + 1 + scenarios.id.max() - kept.id.min())  # no noise of a training scenario
     for part in (scenarios, kept):
         check_scenario(config, gains, trail(part))
     return scenarios, kept
@@ -162,16 +164,16 @@ class _Run:
             self.best,
         )
         self.rows.append([*progress, *terms])
-        if loss > RUNAWAY * self.start_loss:
-            self._recover(step, loss, scores)
+        if loss > RUNAWAY * self.start_loss and self.method.restart(self.best_theta):
+            self._recovered(step, loss, scores)
         elif self.stale > self.settings.patience * self.method.rounds:
             self.stopped = f"no better validation in {self.stale * self.method.steps} steps"
         if self.index == self.method.rounds and not self.stopped:
             self.stopped = "all steps done"
         return progress
 
-    def _recover(self, step: int, loss: float, scores: np.ndarray) -> None:
-        """Undo what has run away; after too many times, stop and say which term it was."""
+    def _recovered(self, step: int, loss: float, scores: np.ndarray) -> None:
+        """Tell what has run away; after too many times, stop and say which term it was."""
         worst = int(np.argmax(self.problem.weights * (scores.mean(1) - self.before.mean(1))))
         what = f"{self.problem.names[worst]} rose from {self.before[worst].mean():.3g} to {scores[worst].mean():.3g}"
         self.recoveries += 1
@@ -180,7 +182,6 @@ class _Run:
         )
         if self.recoveries > RECOVERIES:
             self.stopped = f"the loss ran away {self.recoveries} times, last because {what}; lower learning_rate"
-        self.method.restart(self.best_theta)
 
     @property
     def best_gains(self) -> Gains:

@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.compile import jit
-from jaxftc.faults.scenario import Scenario, take
+from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
 from tuning import search, transform
 from tuning.descent import Descent
 from tuning.problem import Problem
 from tuning.settings import GRADIENT_COST, ROUND, Settings, round_length
 
+TANGENT_COST = 2  # closed-loop simulations that a run with one tangent counts as
 SLOWER = 0.3  # factor on the learning rate with each recovery
 
 
@@ -54,8 +55,8 @@ class Method(Protocol):
         """Take a state back."""
         ...
 
-    def restart(self, theta: np.ndarray) -> None:
-        """Go on from theta, more carefully."""
+    def restart(self, theta: np.ndarray) -> bool:
+        """Go on from theta, more carefully; False where that means nothing to the method."""
         ...
 
 
@@ -75,11 +76,10 @@ class Batches:
             rows[places // count == epoch] = order[places[places // count == epoch] % count]
         return rows
 
-    def take(self, steps: range) -> tuple[Scenario, np.ndarray]:
-        """Scenarios [steps * batch, ...] of some steps, and the terms [terms, steps * batch] of the starting gains."""
-        rows = np.concatenate([self.rows(step) for step in steps])
-        chosen = take(self.scenarios, rows)
-        return chosen, self.problem.scores(self.start, chosen)
+    def take(self, step: int, widen: float) -> tuple[Scenario, np.ndarray]:
+        """Scenarios [batch, ...] of a step, and the terms [terms, batch] of the starting gains with signs as wide."""
+        chosen = take(self.scenarios, self.rows(step))
+        return chosen, self.problem.scores(transform.widened(self.start, widen), chosen)
 
 
 class _Descend:
@@ -87,8 +87,9 @@ class _Descend:
 
     def __init__(self, problem: Problem, space: transform.Space, batches: Batches, settings: Settings) -> None:
         finite = settings.method == "finite"
-        step_cost = settings.batch * (space.size + 1 if finite else GRADIENT_COST)
-        total = max(1, settings.budget // step_cost)
+        runs = GRADIENT_COST if settings.mode == "reverse" else 1 + TANGENT_COST * space.size
+        step_cost = settings.batch * (1 + space.size if finite else runs)
+        total = max(1, settings.budget // step_cost) if finite else settings.steps
         self.steps = round_length(total)
         self.rounds, self.cost = total // self.steps, self.steps * (step_cost + settings.batch)
         self.batches, self.settings, self.total = batches, settings, total
@@ -108,11 +109,10 @@ class _Descend:
 
     def round(self, index: int) -> tuple[np.ndarray, float]:
         steps = range(index * self.steps, (index + 1) * self.steps)
-        flat, start = self.batches.take(steps)
-        batch = self.settings.batch
-        scenarios = jax.tree.map(lambda x: np.moveaxis(x.reshape(self.steps, batch, *x.shape[1:]), 1, -1), flat)
-        start = np.moveaxis(start.reshape(-1, self.steps, batch), 0, 1)
         widen = np.array([self.settings.widen(k / max(self.total - 1, 1)) for k in steps])
+        taken = [self.batches.take(step, float(wide)) for step, wide in zip(steps, widen, strict=True)]
+        scenarios = jax.tree.map(lambda *leaves: np.stack(leaves), *(trail(chosen) for chosen, _ in taken))
+        start = np.stack([terms for _, terms in taken])
         self.state, info = self.descent.round(self.state, widen, scenarios, start)
         return np.asarray(info.terms[-1], float), float(info.gradient_norm[-1])
 
@@ -123,8 +123,9 @@ class _Descend:
         tree = jax.tree.structure(self.state)
         self.state = jax.tree.unflatten(tree, [arrays[f"leaf{i}"] for i in range(tree.num_leaves)])
 
-    def restart(self, theta: np.ndarray) -> None:
-        self.state = self.descent.init(theta, rate=SLOWER * float(self.state.rate))
+    def restart(self, theta: np.ndarray) -> bool:
+        self.state = self.descent.init(theta, int(self.state.step), SLOWER * float(self.state.rate))
+        return True
 
 
 class _Sample:
@@ -138,7 +139,7 @@ class _Sample:
         self.steps = min(total, max(1, ROUND * settings.batch * GRADIENT_COST // generation))
         self.rounds = total // self.steps
         self.cost = self.steps * (generation + settings.batch)
-        self.batches, self.problem = batches, problem
+        self.batches, self.problem, self.settings = batches, problem, settings
         self.gains = jit(lambda theta: space.gains(theta, settings.anneal[1]))
 
     @property
@@ -148,7 +149,7 @@ class _Sample:
     def round(self, index: int) -> tuple[np.ndarray, float]:
         means, losses = np.zeros((0, 0)), np.zeros(0)
         for step in range(index * self.steps, (index + 1) * self.steps):
-            scenarios, start = self.batches.take(range(step, step + 1))
+            scenarios, start = self.batches.take(step, self.settings.anneal[1])
             scores = []
 
             def judge(theta: np.ndarray) -> float:
@@ -165,5 +166,6 @@ class _Sample:
     def unpack(self, arrays: dict[str, np.ndarray]) -> None:
         self.search.replay(arrays["told"])
 
-    def restart(self, theta: np.ndarray) -> None:
+    def restart(self, theta: np.ndarray) -> bool:
         """Nothing to undo: a candidate that is worse is not followed."""
+        return False

@@ -27,7 +27,6 @@ GUARD = 2.0
 LOST = 10.0  # what every term of a run that diverged counts
 CLIP = 1.0  # largest norm of one scenario's gradient, per unit of theta
 DIFFERENCE = 0.02  # step of finite differences in theta
-MODES = ("reverse", "forward", "finite")
 
 
 class Problem:
@@ -49,8 +48,12 @@ class Problem:
         pieces = []
         for first in range(0, count, self.batch):
             piece = take(scenarios, np.arange(first, first + self.batch) % count)
-            pieces.append(np.asarray(self._scores((self.key, gains), trail(piece)), float))
+            pieces.append(np.asarray(self.run(gains, trail(piece)), float))
         return np.concatenate(pieces, axis=1)[:, :count]
+
+    def run(self, gains: Gains, scenarios: Scenario) -> Array:
+        """Terms [terms, batch] of one set of gains, scenarios with a trailing axis; compiled."""
+        return self._scores((self.key, gains), scenarios)
 
     def total(self, scores: np.ndarray) -> float:
         """The objective from terms [terms, scenarios]."""

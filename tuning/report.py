@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import html
 
-import jax.numpy as jnp
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -12,7 +11,7 @@ from plotly.subplots import make_subplots
 from jaxftc import metrics
 from jaxftc.closed_loop import simulate
 from jaxftc.config import Config
-from jaxftc.control.gain import alpha_online
+from jaxftc.control.gain import surface
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains, specs
@@ -111,8 +110,7 @@ def surface_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
     q, s = np.meshgrid(np.deg2rad(np.linspace(-110, 110, 56)), np.linspace(-1.2, 1.2, 49))
     figure = make_subplots(1, 2, shared_yaxes=True, subplot_titles=("before", "after"), horizontal_spacing=0.06)
     for column, gains in enumerate((before, after), start=1):
-        flat = [jnp.asarray(np.tile(x.ravel(), (config.n, 1)), gains.control.floor.dtype) for x in (q, s)]
-        value = np.asarray(alpha_online(config, _one_arm(gains), *flat))[0].reshape(q.shape)
+        value = surface(config, gains, q, s)
         figure.add_heatmap(
             x=np.rad2deg(q[0]), y=s[:, 0], z=value, zmin=0, zmax=3, colorscale="Cividis", showscale=column == 2,
             colorbar={"title": "alpha_online"}, row=1, col=column,
@@ -127,13 +125,6 @@ def surface_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
     finish(figure, "Factor on the switching gain (joint 1's floor)", "crosses: centres of the sets")
     figure.update_xaxes(title_text="joint position, deg")
     return figure
-
-
-def _one_arm(gains: Gains) -> object:
-    """Control gains with a trailing axis for the points of the map."""
-    from jaxftc.gains import align
-
-    return align(gains, 1).control
 
 
 def worst_figures(config: Config, before: Gains, after: Gains, c: Comparison) -> list[str]:

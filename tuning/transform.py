@@ -6,7 +6,8 @@ gains. theta is 0 at the start, and one unit is a natural step:
 * a gain without an upper limit moves by factors: g = start exp(theta). A start of 0 is moved to ``SMALLEST``;
 * a gain in an interval moves by odds: logit of its place in it. A start at an end is moved inside by ``INSET``;
 * set centres, which must increase, move by the log of their gaps, the first one by gaps;
-* both Laguerre poles move as one, ``arx.xi_a``, by odds within (-1, 1); the read-out kappa is then that of the exact model.
+* both Laguerre poles move as one, ``arx.xi_a``, by odds within (-1, 1); the read-out is then that of the exact model, also
+  where it was identified before.
 
 The search is bounded, for every method alike, by |theta| <= ``REACH``: a factor of 20 in gain, odds or gap.
 """
@@ -30,8 +31,8 @@ from jaxftc.identify.readout import exact
 from jaxftc.types import Array
 
 REACH = math.log(20.0)
-INSET = 1e-3  # of the interval
-SMALLEST = {"control.k_b": 0.1}  # 1/s; everything else starts above 0
+INSET = 0.01  # of the interval
+SMALLEST = {"control.k_b": 1.0}  # 1/s; for the others a thousandth of their default
 POLES = "arx.xi_a"
 SETS = ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")
 FUZZY_OBSERVER = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths")
@@ -68,7 +69,7 @@ def select(config: Config, only: Iterable[str] = (), freeze: Iterable[str] = ())
     """
     allowed = tunable(config)
     chosen = _expand(config, only) or {name for name in allowed if name != POLES}
-    left = chosen - _expand(config, freeze)
+    left = (chosen & set(allowed)) - _expand(config, freeze)
     if not left:
         raise ValueError("every gain is frozen, so there is nothing to tune; free at least one")
     return tuple(name for name in allowed if name in left)
@@ -121,9 +122,7 @@ class Space:
         move = self._moved if theta.ndim == 1 else jax.vmap(self._moved, in_axes=1, out_axes=-1)
         moved = move(theta)
         blocks = {block: dataclasses.replace(getattr(self.start, block), **moved.get(block, {})) for block in BLOCKS}
-        for block in ("observer", "control"):
-            blocks[block] = dataclasses.replace(blocks[block], eps=widen * blocks[block].eps)
-        return Gains(**blocks)
+        return widened(Gains(**blocks), widen)
 
     def _moved(self, theta: Array) -> dict[str, dict[str, Array]]:
         """The gains that theta moves, by block and name."""
@@ -134,7 +133,7 @@ class Space:
             moved.setdefault(leaf.block, {})[leaf.name] = value
             if f"{leaf.block}.{leaf.name}" == POLES:
                 kappa_a, kappa_b = arx.exact_kappa(value, self.config.order_a, self.config.order_b, self.config.dt)
-                moved["arx"] |= {"xi_b": value, "kappa_a": kappa_a, "kappa_b": kappa_b[:, None]}
+                moved["arx"] |= {"xi_b": value, "kappa_a": kappa_a, "kappa_b": kappa_b[:, None], "offset": 0.0 * value}
         return moved
 
     def deploy(self, theta: np.ndarray, widen: float = 1.0) -> Gains:
@@ -146,6 +145,13 @@ class Space:
             gains = exact(self.config, gains)
         check_gains(self.config, gains)
         return gains
+
+
+def widened(gains: Gains, factor: Array | float) -> Gains:
+    """Gains with the widths of both smooth signs times a factor."""
+    observer = dataclasses.replace(gains.observer, eps=factor * gains.observer.eps)
+    control = dataclasses.replace(gains.control, eps=factor * gains.control.eps)
+    return dataclasses.replace(gains, observer=observer, control=control)
 
 
 def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[str] = ()) -> Space:
@@ -168,7 +174,7 @@ def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[st
             continue
         value = np.asarray(getattr(getattr(start, block), name), float)
         gap = float(np.diff(value).mean()) if name in INCREASING else 1.0
-        at = _to_free(name, spec, value, gap, SMALLEST.get(path, 0.0))
+        at = _to_free(name, spec, value, gap, SMALLEST.get(path, 1e-3 * float(np.max(spec.default))))
         shape = (1,) * at.ndim if path in shared and spec.axes == ("n",) else shape_of(config, spec)
         count = math.prod(shape)
         leaves.append(_Leaf(block, name, slice(size, size + count), shape, spec, at, gap))
@@ -187,7 +193,8 @@ def _to_free(name: str, spec: Spec, value: np.ndarray, gap: float, smallest: flo
         return np.concatenate([value[:1] / gap, np.log(np.diff(value))])
     if math.isinf(high):
         return np.log(np.maximum(value - low, smallest))
-    place = np.clip((value - low) / (high - low), INSET, 1 - INSET)
+    place = (value - low) / (high - low)
+    place = np.where(place <= 0, INSET, np.where(place >= 1, 1 - INSET, place))
     return np.log(place / (1 - place))
 
 

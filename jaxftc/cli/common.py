@@ -78,9 +78,13 @@ def load_arm(options: Options) -> Robot:
     """The robot that ``--robot`` names."""
     from jaxftc import load_robot, puma560
 
-    if options.coulomb and options.robot != "puma560":
-        raise ValueError("--coulomb is for the built-in arm; a robot file says its friction itself (user or frictionloss)")
-    return puma560(coulomb=options.coulomb) if options.robot == "puma560" else load_robot(options.robot)
+    if options.robot != "puma560":
+        if options.coulomb and not type(options).coulomb:  # asked for, not the command's default
+            raise ValueError(
+                "--coulomb is for the built-in arm; a robot file says its friction itself (user or frictionloss)"
+            )
+        return load_robot(options.robot)
+    return puma560(coulomb=options.coulomb)
 
 
 def load_or_default(options: Options, config: Config) -> Gains:

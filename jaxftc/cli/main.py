@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 import tyro
@@ -28,17 +28,21 @@ def commands() -> dict[str, Any]:
         try:
             found.setdefault(entry.name, entry.load())
         except ModuleNotFoundError as error:
-            found.setdefault(entry.name, _absent(entry.name, error))
+            found.setdefault(entry.name, _absent(entry, error))
     return found
 
 
-def _absent(name: str, error: ModuleNotFoundError) -> Any:
+def _absent(entry: EntryPoint, error: ModuleNotFoundError) -> Any:
     """A command that says why it is not there: the wheel leaves out the benchmarks."""
+    ours = error.name == entry.module.split(".")[0]
+    what_to_do = "run it from a checkout, after pip install -e ." if ours else f"install {error.name}"
 
     def run(self: object) -> None:
-        raise ValueError(f"jaxftc {name} is not installed ({error}); run it from a checkout, after pip install -e .")
+        raise ValueError(f"jaxftc {entry.name} is not installed ({error}); {what_to_do}")
 
-    return dataclasses.make_dataclass(name.capitalize(), [], namespace={"run": run, "__doc__": "Only from a checkout."})
+    words = ("words", tyro.conf.Positional[tuple[str, ...]], ())  # whatever the real one would take
+    space = {"run": run, "__doc__": f"Not installed: {what_to_do}"}
+    return dataclasses.make_dataclass(entry.name.capitalize(), [words], namespace=space)
 
 
 def parse(arguments: list[str] | None = None) -> Any:

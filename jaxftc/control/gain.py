@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.fuzzy import rules
-from jaxftc.gains import ControlGains
+from jaxftc.gains import ControlGains, Gains, align
 from jaxftc.types import Array
 
 
@@ -15,3 +16,9 @@ def alpha_online(config: Config, gains: ControlGains, q: Array, s: Array) -> Arr
     table = rules.TABLES[config.rules]
     value = rules.infer(table, q, s, (gains.q_centres, gains.q_widths), (gains.s_centres, gains.s_widths), gains.outputs)
     return jnp.maximum(value, gains.floor)
+
+
+def surface(config: Config, gains: Gains, q: np.ndarray, s: np.ndarray) -> np.ndarray:
+    """alpha_online of the first joint over points q rad and s rad/s of any one shape: Table 1 as a surface."""
+    points = [jnp.asarray(np.tile(np.ravel(x), (config.n, 1)), gains.control.floor.dtype) for x in (q, s)]
+    return np.asarray(alpha_online(config, align(gains, 1).control, *points), float)[0].reshape(np.shape(q))

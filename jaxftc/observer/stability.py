@@ -33,7 +33,7 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
 
 
 def smooth_radius(config: Config, gains: Gains) -> Array:
-    """The same [n] within 1e-4, from a power of the matrix: with a gradient, on every backend, also at double poles.
+    """The same [n] within 2e-4, from a power of the matrix: with a gradient, on every backend, also at double poles.
 
     Gains with one trailing scenario axis give [n, scenarios].
     """
