@@ -45,8 +45,8 @@ class Steps(NamedTuple):
 class Descent:
     """Steps of an optax optimiser, a round at a time as one scan.
 
-    Clipping is by scenario (``Problem.slope``), so that no gradient is longer than one scenario's; the learning rate warms up
-    and decays as a cosine; theta stays within ``REACH``.
+    Clipping is by scenario (``Problem.slope``), so that no gradient is longer than one scenario's; the learning rate
+    warms up and decays as a cosine; theta stays within ``REACH``.
     """
 
     def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: str, rate: float, steps: int) -> None:
