@@ -7,6 +7,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
+DOCS = {path.name: path.read_text() for path in sorted((ROOT / "docs").glob("*.md"))}
+TEXT = "\n".join([README, *DOCS.values()])
+IN_BASH = [line for block in re.findall(r"```bash\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()]
+COMMANDS = {line for line in IN_BASH if line.startswith("jaxftc ")} | set(re.findall(r"`(jaxftc [a-z]+[^`]*)`", TEXT))
 
 
 def test_python_blocks_run(capsys):
@@ -17,7 +21,14 @@ def test_python_blocks_run(capsys):
     assert "[3 3 3 3 3 3]" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("command", sorted(set(re.findall(r"`(jaxftc [a-z]+[^`]*)`", README))))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DOCS)
+def test_python_blocks_of_the_docs_run(name):
+    for block in re.findall(r"```python\n(.*?)```", DOCS[name], re.DOTALL):
+        exec(compile(block, name, "exec"), {})
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
 def test_commands_parse(command):
     from jaxftc.cli.main import parse
 
@@ -28,7 +39,7 @@ def test_files_named_exist():
     for name in re.findall(r"`((?:jaxftc|tests)/[\w/.]+|[A-Z]+\.(?:md|cff))`", README):
         assert (ROOT / name).exists(), name
     for name in re.findall(r"`(\w+\.py|\w+/)`", README):
-        assert (ROOT / "jaxftc" / name).exists(), name
+        assert (ROOT / "jaxftc" / name).exists() or (ROOT / name).exists(), name
 
 
 def test_set_up_is_two_commands():
