@@ -85,6 +85,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_gains(arm, scenarios, tuned,
 
 def test_a_checkpoint_of_another_run_is_refused(arm, scenarios, tmp_path):
     short = dataclasses.replace(SMALL, method="random", steps=1)
+    tmp_path = tmp_path / "new" / "folder"
     run(arm, scenarios, folder=tmp_path, settings=short)
     with pytest.raises(ValueError, match=r"another settings .*learning_rate 0.2, here 0.1.*give the same options"):
         run(arm, scenarios, folder=tmp_path, settings=dataclasses.replace(short, learning_rate=0.1))

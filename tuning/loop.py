@@ -87,6 +87,7 @@ def fit(
     problem = Problem(config, objective, key, settings.batch)
     run = _Run(problem, space, training, validation, settings)
     if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
         run.resume_from(folder / checkpoint.NAME)
     while not run.stopped:
         progress = run.round()
