@@ -36,6 +36,8 @@ class Bench(common.Options):
     """Seed of the ranking's scenarios; tuning counts its seeds from 0."""
     seeds: int = 5
     """Seeds of each method (tuning)."""
+    methods: tuple[Literal["cmaes", "random", "finite"], ...] = ("cmaes", "random", "finite")
+    """What the gradient is measured against (tuning)."""
     more: float = 1.0
     """Factor on the budget of CMA-ES (tuning)."""
     held_out: int = 1024
@@ -67,11 +69,10 @@ class Bench(common.Options):
         from tqdm import tqdm
 
         from benchmarks import curves, report
-        from tuning.settings import METHODS
 
         gains = common.load_or_default(self, config)
-        factors = dict.fromkeys(METHODS, 1.0) | {"cmaes": self.more}
-        with tqdm(total=self.seeds * len(METHODS), desc="methods x seeds", unit="run", leave=False) as bar:
+        factors = {name: self.more if name == "cmaes" else 1.0 for name in ("gradient", *self.methods)}
+        with tqdm(total=self.seeds * len(factors), desc="methods x seeds", unit="run", leave=False) as bar:
             found, cost = curves.measure(config, gains, self.seeds, self.settings, factors, bar.update)
         rows = [
             (c.method, c.seed, *point) for c in found for point in zip(c.simulations, c.seconds, c.objective, strict=True)

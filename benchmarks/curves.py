@@ -24,7 +24,7 @@ from jaxftc.gains import Gains
 from tuning import transform
 from tuning.loop import Progress, fit
 from tuning.problem import Problem
-from tuning.settings import GRADIENT_COST, METHODS, Settings
+from tuning.settings import GRADIENT_COST, Settings
 from tuning.terms import OBJECTIVE
 
 HELD_OUT = 512
@@ -45,7 +45,7 @@ class Curve(NamedTuple):
 def measure(
     config: Config, gains: Gains, seeds: int, settings: Settings, factors: dict[str, float], done: Callable[[], object]
 ) -> tuple[list[Curve], float]:
-    """Curves of every method and seed, and the cost of a gradient in simulations; ``factors`` scale a method's budget."""
+    """Curves of each seed and method of ``factors``, which scale its budget, and the cost of a gradient in simulations."""
     cost = gradient_cost(config, gains, settings)
     curves = []
     for seed in range(seeds):
@@ -55,7 +55,7 @@ def measure(
         held_out = sample_scenarios(draw, HELD_OUT, config=config)
         judge = Problem(config, OBJECTIVE, unseen, settings.batch)
         before = judge.total(judge.scores(gains, held_out))
-        for method in METHODS:
+        for method in factors:
             chosen = dataclasses.replace(
                 settings, method=method, patience=1.0, steps=round(settings.steps * factors[method])
             )
@@ -148,7 +148,7 @@ def verdicts(curves: list[Curve]) -> dict[str, Any]:
     by = {(c.method, c.seed): c for c in curves}
     seeds = sorted({c.seed for c in curves})
     found: dict[str, Any] = {}
-    for method in METHODS:
+    for method in dict.fromkeys(c.method for c in curves):
         mine = [by[method, seed] for seed in seeds]
         levels = [c.objective[-1] for c in mine]
         fewer = [_times_fewer(by["gradient", c.seed], c) for c in mine]
