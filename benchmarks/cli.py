@@ -49,6 +49,7 @@ class Bench(common.Options):
         from benchmarks import machine
         from jaxftc import Config, checks
 
+        self.settings.check()
         checks.integer("--seeds", self.seeds, 1, "5 show the spread")
         checks.integer("--held-out", self.held_out, 32, "rankings are read by condition")
         checks.positive("--more", self.more, "the budget")

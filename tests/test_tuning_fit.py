@@ -87,9 +87,9 @@ def test_a_checkpoint_of_another_run_is_refused(arm, scenarios, tmp_path):
     short = dataclasses.replace(SMALL, method="random", steps=1)
     tmp_path = tmp_path / "new" / "folder"
     run(arm, scenarios, folder=tmp_path, settings=short)
-    with pytest.raises(ValueError, match=r"another settings .*learning_rate 0.2, here 0.1.*give the same options"):
+    with pytest.raises(ValueError, match=r"another run: its settings differ .*rate 0.2, here 0.1.*under the same options"):
         run(arm, scenarios, folder=tmp_path, settings=dataclasses.replace(short, learning_rate=0.1))
-    with pytest.raises(ValueError, match="another scenarios"):
+    with pytest.raises(ValueError, match="its scenarios differ"):
         run(arm, take(scenarios, slice(20)), folder=tmp_path, settings=short)
     (tmp_path / checkpoint.NAME).write_bytes(b"PK torn")
     with pytest.raises(ValueError, match="is no checkpoint of a tuning run"):
@@ -228,12 +228,13 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
         ("batch", 0, "batch must be an integer of at least 1"),
         ("learning_rate", -1.0, "learning_rate must be a positive"),
         ("anneal", (1.0, 0.0), "anneal must be two positive factors"),
+        ("patience", 2.0, "patience must be a share of the steps, at most 1, got 2.0"),
         ("optimizer", "adm", "did you mean 'adam'"),
     ],
 )
 def test_settings_are_checked(field, value, message):
     with pytest.raises(ValueError, match=message):
-        Settings(**{field: value})
+        Settings(**{field: value}).check()
 
 
 def test_rounds_divide_the_steps():

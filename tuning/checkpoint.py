@@ -70,7 +70,7 @@ def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
         ]
         details = f" ({', '.join(changes)})" if changes else ""
         raise ValueError(
-            f"{path} belongs to a run with another {', another '.join(other)}{details}; "
+            f"{path} is of another run: its {', '.join(other)} differ{details}; "
             "go on with it under the same options, version and number of devices, or give another folder"
         )
     return arrays

@@ -70,6 +70,7 @@ class Tune(common.Options):
         from tuning.held_out import compare
         from tuning.loop import fit
 
+        self.settings.check()
         checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
         config = Config(
             common.load_arm(self),
@@ -109,8 +110,12 @@ class Tune(common.Options):
         record = as_json(result, comparisons, folder) | {"held_out_seed": seed}
         text = common.write_json(folder / "result.json", record)
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
-        common.say(self, summary(result, comparisons))
+        common.say(self, summary(result, comparisons, seed))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
+        arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else f"--robot {self.robot}"
+        words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
+        if self.rules == "printed":
+            common.say(self, f"See them at work: {' '.join(filter(None, words))} --gains {folder / 'gains.toml'}")
         if self.json:
             print(text)
 
@@ -123,7 +128,7 @@ class Bar:
 
         self.ticks = config.ticks
         self.last: Progress | None = None
-        self.bar: tqdm[Any] = tqdm(desc="compiling", unit="step", leave=False)
+        self.bar: tqdm[Any] = tqdm(desc="compiling, half a minute", unit="step", leave=False)
 
     def __enter__(self) -> Bar:
         return self
@@ -165,21 +170,21 @@ def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict
     }
 
 
-def summary(result: Result, comparisons: list[Comparison]) -> str:
+def summary(result: Result, comparisons: list[Comparison], seed: int) -> str:
     """The held-out comparison as text."""
     from tuning.problem import LOST
 
     lines = [
         f"{result.steps} steps, {result.simulations} closed-loop simulations, {result.seconds:.0f} s: {result.stopped}; "
-        f"gains of step {result.best_step}",
+        + (f"gains of step {result.best_step}" if result.best_step else "no step was better: the gains are unchanged"),
         *(f"  {event}" for event in result.events),
     ]
     for c in comparisons:
         (before, after), (low, high) = c.objective, c.ratio[1:]
         name = c.preset + (", hard sgn" if c.sign == "hard" else "")
         lines.append(
-            f"\nheld out, {name}: objective {before:.3f} -> {after:.3f}, "
-            f"{after / before:.3f} of it [{low:.3f}, {high:.3f}], n = {c.before.shape[1]}"
+            f"\nheld out, {name}: objective {before:.3f} -> {after:.3f}, ratio {after / before:.3f}, "
+            f"95 % [{low:.3f}, {high:.3f}], {c.before.shape[1]} scenarios of seed {seed}"
         )
         middle = [f"{m.value:.3f} [{m.low:.3f}, {m.high:.3f}]" for m in c.median]
         lines.append(f"  median over scenarios {middle[0]} -> {middle[1]}")

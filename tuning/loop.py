@@ -80,6 +80,7 @@ def fit(
         ValueError: an unknown or unused gain, nothing to tune, no or too few scenarios, start gains that are not allowed or
             with which every run diverges, an objective without terms, or a checkpoint of another run.
     """
+    settings.check()
     space = transform.space(config, gains, transform.select(config, only, freeze), shared)
     training, validation = _split(config, gains, scenarios, validation, settings)
     if not objective:

@@ -17,11 +17,7 @@ ROUND = 5  # gradient steps between two validations, at most
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How to search.
-
-    Raises:
-        ValueError: a value is not allowed; the message says which are.
-    """
+    """How to search; ``check`` says whether it can be done."""
 
     method: Literal["gradient", "cmaes", "random", "finite"] = "gradient"
     """Gradient through the closed loop; CMA-ES, random search or finite differences with the same budget of simulations."""
@@ -34,7 +30,7 @@ class Settings:
     optimizer: Literal["adam", "lion", "sgd"] = "adam"
     """Rule of the gradient steps, after clipping."""
     learning_rate: float = 0.1
-    """In units of theta: 0.1 changes a gain by about 10 % a step."""
+    """In units of theta: 0.1 changes a gain without an upper limit by about 10 % a step."""
     mode: Literal["reverse", "forward"] = "reverse"
     """Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains, and in memory."""
     anneal: tuple[float, float] = (2.0, 1.0)
@@ -42,7 +38,12 @@ class Settings:
     patience: float = 0.5
     """Share of the steps without a better validation after which it stops; 1 never stops early."""
 
-    def __post_init__(self) -> None:
+    def check(self) -> None:
+        """Refuse what cannot be done.
+
+        Raises:
+            ValueError: a value is not allowed; the message says which are.
+        """
         checks.one_of("method", self.method, METHODS)
         checks.one_of("optimizer", self.optimizer, OPTIMIZERS)
         checks.one_of("mode", self.mode, ("reverse", "forward"))
@@ -50,6 +51,8 @@ class Settings:
         checks.integer("batch", self.batch, 1, "64 suit two cores")
         checks.integer("validation", self.validation, 1, "128 tell steps apart")
         checks.positive("patience", self.patience, "the steps")
+        if self.patience > 1:
+            raise ValueError(f"patience must be a share of the steps, at most 1, got {self.patience!r}; 1 never stops early")
         checks.positive("learning_rate", self.learning_rate, "theta")
         if len(self.anneal) != 2 or not all(math.isfinite(a) and a > 0 for a in self.anneal):
             raise ValueError(f"anneal must be two positive factors, first and last, got {self.anneal!r}")
