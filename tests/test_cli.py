@@ -175,22 +175,8 @@ def test_a_command_whose_package_is_missing_says_so(monkeypatch, capsys):
     assert "jaxftc bench is not installed (No module named 'no_such_package'); run it from" in capsys.readouterr().err
 
 
-TINY = [
-    "tune",
-    "--observer",
-    "pi",
-    "--control",
-    "smc",
-    "--steps",
-    "4",
-    "--batch",
-    "2",
-    "--validation",
-    "2",
-    "--held-out",
-    "4",
-]
-TINY += ["--duration", "0.2", "--out", "run", "--json"]
+TINY = ["tune", "--observer", "pi", "--control", "smc", "--steps", "15", "--batch", "2", "--validation", "2"]  # three rounds
+TINY += ["--held-out", "4", "--duration", "0.2", "--out", "run", "--json"]
 
 
 @pytest.mark.slow
