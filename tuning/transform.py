@@ -15,15 +15,17 @@ The search is bounded, for every method alike, by |theta| <= ``REACH``: a factor
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import arx, checks
+from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
 from jaxftc.gains import check as check_gains
@@ -124,6 +126,10 @@ class Space:
         blocks = {block: dataclasses.replace(getattr(self.start, block), **moved.get(block, {})) for block in BLOCKS}
         return widened(Gains(**blocks), widen)
 
+    @functools.cached_property
+    def _compiled(self) -> Any:
+        return jit(self.gains)
+
     def _moved(self, theta: Array) -> dict[str, dict[str, Array]]:
         """The gains that theta moves, by block and name."""
         moved: dict[str, dict[str, Array]] = {}
@@ -140,7 +146,7 @@ class Space:
         """Gains at theta [size] as they are saved: checked, the start itself where nothing moved, the read-out rounded."""
         if not np.any(theta) and widen == 1.0:
             return self.start
-        gains = self.gains(jnp.asarray(theta, self.start.arx.xi_a.dtype), widen)
+        gains = self._compiled(jnp.asarray(theta, self.start.arx.xi_a.dtype), widen)
         if POLES in self.names:
             gains = exact(self.config, gains)
         check_gains(self.config, gains)
