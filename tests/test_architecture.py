@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import jaxftc
+import tuning
 
 ROOT = Path(jaxftc.__file__).parents[1]
 FLOORS = ("jaxftc", "tuning", "benchmarks", "tests")  # each may import those before it
@@ -125,12 +126,16 @@ def test_no_cycle_of_imports():
         visit(name, ())
 
 
-def test_type_checkers_and_python_see_the_same_public_names():
-    stub = ast.parse((ROOT / "jaxftc" / "__init__.pyi").read_text())
+@pytest.mark.parametrize("package", [jaxftc, tuning], ids=lambda package: package.__name__)
+def test_type_checkers_and_python_see_the_same_public_names(package):
+    name, version = package.__name__, {("__version__", "jaxftc.version")} if package is jaxftc else set()
+    stub = ast.parse((ROOT / name / "__init__.pyi").read_text())
     nodes = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
     seen = {(alias.asname, node.module) for node in nodes for alias in node.names}
-    assert seen == {(name, f"jaxftc.{room}") for name, room in jaxftc._HOME.items()} | {("__version__", "jaxftc.version")}
-    assert dir(jaxftc) == sorted(["__version__", *PUBLIC])
+    assert seen == {(public, f"{name}.{room}") for public, room in package._HOME.items()} | version
+    assert dir(package) == sorted([*(public for public, _ in version), *package._HOME])
+    for public, room in package._HOME.items():
+        assert getattr(package, public) is getattr(importlib.import_module(f"{name}.{room}"), public)
 
 
 @pytest.mark.parametrize("name", PUBLIC)
