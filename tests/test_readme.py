@@ -23,9 +23,11 @@ def test_python_blocks_run(capsys):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DOCS)
-def test_python_blocks_of_the_docs_run(name):
-    for block in re.findall(r"```python\n(.*?)```", DOCS[name], re.DOTALL):
+def test_python_blocks_of_the_docs_run(name, capsys):
+    blocks = re.findall(r"```python\n(.*?)```", DOCS[name], re.DOTALL)
+    for block in blocks:
         exec(compile(block, name, "exec"), {})
+    assert blocks and capsys.readouterr().out.startswith("all steps done")
 
 
 @pytest.mark.parametrize("command", sorted(COMMANDS))

@@ -75,6 +75,7 @@ def error_matrices(config: Config, gains: Gains) -> Array:
     on = [0.0, 1.0] if config.observer == "ts" else [0.0]
 
     def one(xi_a, xi_b, kappa_a, kappa_b, alpha_p, alpha_i, alpha_f, leak, on):
+        """One joint's matrix, with the fuzzy stage ``on`` (1) or off (0)."""
         (a_a, b_a), (a_b, b_b) = bank_matrices(xi_a, config.order_a), bank_matrices(xi_b, config.order_b)
         square = config.dt**2
         read = jnp.concatenate([kappa_a, kappa_b[0] / square])
