@@ -23,8 +23,8 @@ from jaxftc.defaults import default_gains
 from jaxftc.faults.sample import sample_scenarios
 from jaxftc.faults.scenario import CONDITIONS, Scenario
 from jaxftc.gains import Gains
+from jaxftc.statistics import Interval, median
 from jaxftc.types import Array
-from tuning.held_out import Interval, bootstrap
 from tuning.loop import fit
 from tuning.problem import Problem
 from tuning.settings import Settings
@@ -149,8 +149,8 @@ def _tracking(curves: dict[str, np.ndarray], conditions: np.ndarray) -> Iterator
 
 
 def _pair(ranking: str, condition: int, before: str, after: str, was: np.ndarray, now: np.ndarray, louder: float) -> Pair:
-    ratio = bootstrap(np.log(now / was)[None], lambda x: np.median(x[0], -1))
-    return Pair(ranking, CONDITIONS[condition], before, after, len(was), Interval(*np.exp(ratio)), louder)
+    ratio = Interval(*np.exp(median(np.log(now / was))))
+    return Pair(ranking, CONDITIONS[condition], before, after, len(was), ratio, louder)
 
 
 def surface(config: Config, gains: Gains) -> Surface:

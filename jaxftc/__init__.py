@@ -1,8 +1,9 @@
 """jaxftc: fault diagnosis and fault-tolerant control for robot arms, in JAX.
 
 The map of rooms: ``arm`` (plant and engines), ``laguerre`` and ``arx`` (block 1 of the paper), ``observer`` (blocks 2 to 4),
-``diagnosis`` (5 to 7), ``control`` (8, 9), ``fuzzy`` (inference), ``faults`` (scenarios), ``controller`` (one
-tick), ``closed_loop`` (plant, faults and tick), ``identify`` (the ARX read-out from data), ``metrics`` and ``cli``.
+``diagnosis`` (5 to 7), ``control`` (8, 9), ``fuzzy`` (inference), ``controller`` (one tick of all that), ``baselines`` (what
+it is measured against), ``schemes`` (the door to either), ``faults`` (scenarios), ``closed_loop`` (plant, faults and tick),
+``identify`` (the ARX read-out from data), ``metrics``, ``monte_carlo`` (campaigns and thresholds), ``logs`` and ``cli``.
 Public names load on first use, so that importing the package is quick.
 """
 
@@ -20,12 +21,17 @@ _ROOMS = {
     "closed_loop": ("Trace", "simulate"),
     "compile": ("jit",),
     "config": ("Config",),
-    "controller": ("State", "init", "step"),
+    "controller": ("State",),
     "defaults": ("default_gains",),
+    "faults.preset": ("Preset",),
+    "faults.preset_file": ("load_preset",),
     "faults.sample": ("sample_scenarios",),
     "faults.scenario": ("Scenario", "paper_scenario", "trail"),
     "gains": ("Gains",),
     "gains_file": ("load_gains", "save_gains"),
+    "monte_carlo.calibrate": ("calibrate",),
+    "monte_carlo.run": ("campaign",),
+    "schemes": ("init", "step"),
     "types": ("VERDICTS", "Measurement", "Output", "Reference"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

@@ -11,9 +11,9 @@ from jaxftc.closed_loop import simulate as simulate
 from jaxftc.compile import jit as jit
 from jaxftc.config import Config as Config
 from jaxftc.controller import State as State
-from jaxftc.controller import init as init
-from jaxftc.controller import step as step
 from jaxftc.defaults import default_gains as default_gains
+from jaxftc.faults.preset import Preset as Preset
+from jaxftc.faults.preset_file import load_preset as load_preset
 from jaxftc.faults.sample import sample_scenarios as sample_scenarios
 from jaxftc.faults.scenario import Scenario as Scenario
 from jaxftc.faults.scenario import paper_scenario as paper_scenario
@@ -21,6 +21,10 @@ from jaxftc.faults.scenario import trail as trail
 from jaxftc.gains import Gains as Gains
 from jaxftc.gains_file import load_gains as load_gains
 from jaxftc.gains_file import save_gains as save_gains
+from jaxftc.monte_carlo.calibrate import calibrate as calibrate
+from jaxftc.monte_carlo.run import campaign as campaign
+from jaxftc.schemes import init as init
+from jaxftc.schemes import step as step
 from jaxftc.types import VERDICTS as VERDICTS
 from jaxftc.types import Measurement as Measurement
 from jaxftc.types import Output as Output

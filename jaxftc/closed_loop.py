@@ -5,14 +5,15 @@ The wall: the controller gets the reference, the reading and its own last comman
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxftc import controller, reference, smooth
+from jaxftc import reference, schemes
 from jaxftc.arm import chain, plant
 from jaxftc.compile import jit
 from jaxftc.config import Config
@@ -45,7 +46,7 @@ class Loop(NamedTuple):
     qd: Array  # [n, ...] rad/s
     tau: Array  # [n, ...] N m, last command
     fault: inject.State
-    controller: controller.State
+    controller: Any  # the scheme's state
 
 
 def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
@@ -104,9 +105,8 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
     """Everything at rest in q_start, the arm held against gravity."""
     dtype = gains.arx.xi_a.dtype
     q = jnp.asarray(scenario.q_start, dtype)
-    rest = controller.init(config, gains, q)
-    tau = smooth.saturate(rest.pending.tau, chain.trailing_constant(config.robot.torque_limit, q))
-    return Loop(q, jnp.zeros_like(q), tau, inject.State(tau, q), rest)
+    tau = schemes.holding_torque(config, q)
+    return Loop(q, jnp.zeros_like(q), tau, inject.State(tau, q), schemes.init(config, gains, q))
 
 
 def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, noise: Array) -> tuple[Loop, Trace]:
@@ -115,7 +115,7 @@ def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Arr
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
     fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, noise)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
-    state, out = controller.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
+    state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
     fault, delivered = inject.deliver(fault_tau, fault, t, out.tau, limit)
@@ -145,18 +145,31 @@ def encoder_noise(config: Config, scenario: Scenario, key: Array, dtype: jnp.dty
     return jnp.moveaxis(draws, 0, -1).reshape(*draws.shape[1:], *ids.shape) * scenario.noise.astype(dtype)
 
 
-def _simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+def watch(
+    config: Config, gains: Gains, scenario: Scenario, key: Array, seen: Any, look: Callable[[Any, Trace], tuple[Any, Any]]
+) -> tuple[Any, Any]:
+    """Run the loop while ``look(seen, tick) -> (seen, kept)`` sees every tick; the last ``seen``, and all ``kept`` stacked.
+
+    ``tick`` is a ``Trace`` of one moment, [n, ...]. To be traced: this is what ``simulate`` and scores are made of.
+    """
     loop = start(config, gains, scenario)
     dtype = loop.q.dtype
     scenario = _cast(scenario, dtype)
     noise = encoder_noise(config, scenario, key, dtype)
 
-    def body(carry: Loop, x: tuple[Array, Array]) -> tuple[Loop, Trace]:
-        k, drawn = x
-        return advance(config, gains, scenario, carry, k.astype(dtype) * config.dt, drawn)
+    def body(carry: tuple[Loop, Any], x: tuple[Array, Array]) -> tuple[tuple[Loop, Any], Any]:
+        (loop, seen), (k, drawn) = carry, x
+        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn)
+        seen, kept = look(seen, tick)
+        return (loop, seen), kept
 
     body = jax.checkpoint(body, prevent_cse=False)  # a gradient keeps the carry of every tick and runs the tick again
-    return jax.lax.scan(body, loop, (jnp.arange(config.ticks), noise))[1]
+    (_, seen), kept = jax.lax.scan(body, (loop, seen), (jnp.arange(config.ticks), noise))
+    return seen, kept
+
+
+def _simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick))[1]
 
 
 _simulate = jit(_simulate, static_argnums=0)

@@ -10,9 +10,11 @@ from jaxftc.arm.plant import ENGINES, Engine
 from jaxftc.arm.robot import Robot
 from jaxftc.fuzzy.rules import TABLES
 
-Observer = Literal["pi", "eso", "ts"]
+Scheme = Literal["cascade", "momentum", "ekf", "computed_torque"]
+Observer = Literal["pi", "eso", "ts", "eso_printed"]
 Control = Literal["smc", "esmc", "afesmc"]
-OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")
+SCHEMES: tuple[str, ...] = ("cascade", "momentum", "ekf", "computed_torque")
+OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")  # the paper's ranking; "eso_printed" is "eso" without its erratum mended
 CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
 
 
@@ -29,7 +31,8 @@ class Config:
     t_final: float = 1.0  # s, end of the motion, t_f of Eq. (35); a multiple of dt
     duration: float | None = None  # s, length of a simulation, a multiple of dt; t_final if None
     engine: Engine = "mjx"  # plant dynamics
-    observer: Observer = "ts"  # how much of the cascade runs: block 2, blocks 2 and 3, blocks 2 to 4
+    scheme: Scheme = "cascade"  # the paper's observer and controller, or a baseline in their place (jaxftc/baselines)
+    observer: Observer = "ts"  # how much of the cascade runs: block 2, blocks 2 and 3 (Eq. (7) mended or printed), 2 to 4
     control: Control = "afesmc"  # Eq. (19), (24) or (30)
     order_a: int = 3  # Laguerre functions on the output
     order_b: int = 2  # Laguerre functions on the input
@@ -50,7 +53,8 @@ class Config:
             checks.positive("duration", self.duration, "seconds")
             checks.multiple("duration", self.duration, self.dt)
         checks.one_of("engine", self.engine, ENGINES)
-        checks.one_of("observer", self.observer, OBSERVERS)
+        checks.one_of("scheme", self.scheme, SCHEMES)
+        checks.one_of("observer", self.observer, (*OBSERVERS, "eso_printed"))
         checks.one_of("control", self.control, CONTROLS)
         checks.one_of("input", self.input, ("rigid_body", "torque"))
         checks.one_of("rules", self.rules, tuple(TABLES))

@@ -1,7 +1,7 @@
 """One tick of the controller: the block diagram of Figures 1 and 8, and Algorithm 1 line by line.
 
 ``step`` is what runs on a robot. It knows no plant, no fault and no scenario: only the reference, the encoder reading and
-the torque that was commanded.
+the torque that was commanded. What comes in has passed the door, ``schemes``.
 """
 
 from __future__ import annotations
@@ -10,24 +10,15 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc import checks, smooth
+from jaxftc import smooth
 from jaxftc.arm import chain, plant
 from jaxftc.config import Config
 from jaxftc.control import sliding, surface
+from jaxftc.control.pending import Pending, commanded, pack, rows
 from jaxftc.diagnosis import decide, residual, threshold
-from jaxftc.gains import Gains, align
-from jaxftc.gains import check as check_gains
+from jaxftc.gains import Gains
 from jaxftc.observer import cascade
 from jaxftc.types import Array, Measurement, Output, Reference
-
-
-class Pending(NamedTuple):
-    """The last command: the observer learns what came of it only with the next measurement."""
-
-    tau: Array  # [n, ...] N m, before the limits
-    qdd: Array  # [n, ...] rad/s^2, acceleration that tau was computed for
-    psi: Array  # [n, ...] rad/s^2, fault estimate
-    mass: Array  # [n, n, ...] kg m^2, nominal inertia
 
 
 class State(NamedTuple):
@@ -37,39 +28,24 @@ class State(NamedTuple):
     threshold: threshold.State
     decide: decide.State
     pending: Pending
+    psi: Array  # [n, ...] rad/s^2, fault estimate of the last tick
     q: Array  # [n, ...] rad, angle the speed was taken from
     qd: Array  # [n, ...] rad/s
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
-    """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
-
-    Raises:
-        ValueError: q has the wrong shape or is not finite, or a gain is not allowed.
-    """
-    checks.joints_first("q", q, config.n)
-    checks.finite("q", q, "give the arm's measured angles in rad")
-    check_gains(config, gains)
-    q = jnp.asarray(q, gains.arx.xi_a.dtype)
-    gains = align(gains, q.ndim - 1)
+    """Controller state at rest in q [n, ...] rad, holding the arm against gravity."""
     at, zero = chain.pose(config.robot, q), jnp.zeros_like(q)
     mass = plant.nominal_mass(config.robot, at)
-    pending = Pending(plant.nominal_torque(config.robot, at, zero, zero), zero, zero, _pack(mass, q))
-    return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, q, zero)
+    pending = Pending(plant.nominal_torque(config.robot, at, zero, zero), zero, pack(mass, q))
+    return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, zero, q, zero)
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
-    """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1.
-
-    Raises:
-        ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``).
-    """
-    check_gains(config, gains)
-    reference, measurement = _signals(config, state, reference, measurement)
-    gains = align(gains, state.q.ndim - 1)
+    """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1."""
     robot = config.robot
 
-    drive, qdd, believed = _commanded(config, state.pending, measurement.tau)  # Eqs. (2), (3)
+    drive, qdd, believed = _commanded(config, state, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.drive(gains, state.observer, drive)  # line 1
     observer, seen = cascade.explain(  # lines 2 to 4, 7
         config, gains, observer, measurement.q, believed, state.decide.doubt
@@ -81,7 +57,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
 
     raw = config.control == "smc"
     q = seen.y if raw else seen.q_hat
-    qd = surface.speed(gains.control, state.qd, qdd if raw else believed, state.q + seen.shift, q, config.dt)
+    qd = surface.speed(gains.control.speed_weight, state.qd, qdd if raw else believed, state.q + seen.shift, q, config.dt)
     sliding_surface = surface.surface(gains.control, q, qd, reference)
     fault = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _commanded
     command = sliding.law(config, gains.control, sliding_surface, q, fault, reference)  # lines 10 to 12
@@ -111,39 +87,17 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         s=sliding_surface.s,
         alpha_online=command.alpha_online,
     )
-    pending = Pending(tau, command.qdd, seen.psi, _pack(mass, tau))
-    return State(observer, thresholds, decided, pending, q, qd), output
+    pending = Pending(tau, command.qdd, pack(mass, tau))
+    return State(observer, thresholds, decided, pending, seen.psi, q, qd), output
 
 
-def _signals(config: Config, state: State, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
-    """Signals as arrays of the right shape; a joint whose reference is not finite is to hold the angle it has."""
-    q, qd, qdd = map(jnp.asarray, reference)
-    reading, tau = map(jnp.asarray, measurement)
-    names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
-    for name, signal in zip(names, (q, qd, qdd, reading, tau), strict=True):
-        checks.joints_first(name, signal, config.n)
-    checks.same_shape(["state.q", *names], [state.q, q, qd, qdd, reading, tau])
-    wanted = jnp.isfinite(q) & jnp.isfinite(qd) & jnp.isfinite(qdd)
-    held = Reference(jnp.where(wanted, q, state.q), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
-    return held, Measurement(reading, tau)
-
-
-def _commanded(config: Config, pending: Pending, tau: Array) -> tuple[Array, Array, Array]:
+def _commanded(config: Config, state: State, tau: Array) -> tuple[Array, Array, Array]:
     """Input of the ARX model, and accelerations [n, ...] rad/s^2 of the last tick without and with the estimated fault.
 
-    The command was computed for ``pending.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
-    A torque that is not finite counts as the command itself, within the limits. The psi of ``input="torque"`` stands for
-    all that a constant inertia leaves out, gravity first, which the nominal arm knows: it is no fault to believe in.
+    The psi of ``input="torque"`` stands for all that a constant inertia leaves out, gravity first, which the nominal arm
+    knows: it is no fault to believe in.
     """
-    limit = chain.trailing_constant(config.robot.torque_limit, pending.tau)
-    tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(pending.tau, limit))
-    rows = [chain.lanes(row) for row in chain.lanes(pending.mass)]
-    qdd = pending.qdd + jnp.stack(chain.solve(rows, chain.lanes(tau - pending.tau)))
+    tau, qdd = commanded(config.robot, state.pending, tau)
     if config.input == "torque":
-        return tau + residual.torque(rows, pending.psi), qdd, qdd
-    return qdd + pending.psi, qdd, qdd + pending.psi
-
-
-def _pack(mass: list[list[chain.Lane]], like: Array) -> Array:
-    """N x n lanes as one array [n, n, ...]."""
-    return jnp.stack([chain.stack(row, like) for row in mass])
+        return tau + residual.torque(rows(state.pending.mass), state.psi), qdd, qdd
+    return qdd + state.psi, qdd, qdd + state.psi

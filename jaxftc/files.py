@@ -14,10 +14,19 @@ if TYPE_CHECKING:
 
 @contextlib.contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error."""
+    """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error.
+
+    What was written is on the disk before it takes that place; after an error it is removed.
+    """
     temporary = path.with_name(path.name + ".tmp")
-    yield temporary
-    os.replace(temporary, path)
+    try:
+        yield temporary
+        with temporary.open("rb") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def write_text(path: Path, text: str) -> None:
@@ -27,9 +36,16 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Write columns of equal length whole or not at all."""
+    """Write columns of equal length whole or not at all.
+
+    Raises:
+        OSError: the disk is full, or the folder cannot be written.
+    """
     import duckdb
 
     with aside(path) as temporary, duckdb.connect() as connection:
         connection.register("columns", columns)
-        connection.execute("copy columns to $path (format parquet)", {"path": str(temporary)})
+        try:
+            connection.execute("copy columns to $path (format parquet)", {"path": str(temporary)})
+        except duckdb.IOException as error:
+            raise OSError(f"cannot write {path}: {error}") from error

@@ -110,6 +110,23 @@ class ControlGains:
 
 
 @_block
+class BaselineGains:
+    """The other schemes: computed torque, momentum observer, extended Kalman filter (jaxftc/baselines).
+
+    A walk is the standard deviation that a random walk reaches in one second.
+    """
+
+    kp: Array = _gain("n", "1/s^2", 625.0, low=0.0)  # computed torque, on the angle's error
+    kd: Array = _gain("n", "1/s", 50.0, low=0.0)  # on the speed's error
+    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0)  # of the measured against the predicted speed
+    rate: Array = _gain("n", "1/s", 120.0, above=0.0)  # K_o of the momentum observer
+    noise_y: Array = _gain("n", "rad", 3e-5, above=0.0)  # EKF, standard deviation of a reading
+    walk_qd: Array = _gain("n", "rad/s^1.5", 0.02, above=0.0)  # EKF, of the speed: what the model does not know
+    walk_psi: Array = _gain("n", "rad/s^2.5", 10.0, above=0.0)  # EKF, of the actuator fault, as its joint's acceleration
+    walk_b: Array = _gain("n", "rad/s^0.5", 3e-4, above=0.0)  # EKF, of the encoder fault
+
+
+@_block
 class Gains:
     """All of them, by block."""
 
@@ -117,9 +134,16 @@ class Gains:
     observer: ObserverGains
     diagnosis: DiagnosisGains
     control: ControlGains
+    baseline: BaselineGains
 
 
-BLOCKS = {"arx": ArxGains, "observer": ObserverGains, "diagnosis": DiagnosisGains, "control": ControlGains}
+BLOCKS = {
+    "arx": ArxGains,
+    "observer": ObserverGains,
+    "diagnosis": DiagnosisGains,
+    "control": ControlGains,
+    "baseline": BaselineGains,
+}
 INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
 
 

@@ -48,26 +48,32 @@ def trace_page(config: Config, trace: dict[str, np.ndarray], title: str) -> str:
     return page(title, [embed(motion_figure(config, trace)), embed(residual_figure(config, trace, title))])
 
 
-def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str) -> go.Figure:
+def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, shown: int = 0) -> go.Figure:
     """Both residual channels of every joint, thresholds dashed, fault windows shaded; one joint shows first."""
     figure = make_subplots(2, 1, shared_xaxes=True, vertical_spacing=0.08)
     t = trace["t"]
     for j, joint in enumerate(config.robot.joint_names):
         look: dict[str, Any] = {
             "legendgroup": joint,
-            "visible": True if j == 0 else "legendonly",
+            "visible": True if j == shown else "legendonly",
             "line_color": COLOURS[j % 7],
         }
         figure.add_scatter(x=t, y=trace["residual_tau"][:, j], name=joint, **look, row=1, col=1)
         figure.add_scatter(x=t, y=np.rad2deg(trace["fault_q_hat"][:, j]), name=joint, showlegend=False, **look, row=2, col=1)
     for row, (name, degrees) in enumerate((("threshold_tau", False), ("threshold_q", True)), start=1):
-        level = float(np.rad2deg(trace[name][0, 0]) if degrees else trace[name][0, 0])
+        level = float(np.rad2deg(trace[name][0, shown]) if degrees else trace[name][0, shown])
+        if not np.isfinite(level):
+            continue  # a scheme without that channel
         for sign in (1, -1):
             figure.add_hline(y=sign * level, line={"dash": "dash", "color": "#777"}, row=row, col=1)  # pyright: ignore[reportArgumentType]
     shade(figure, trace)
     figure.update_yaxes(title_text="torque residual, N m", row=1, col=1)
     figure.update_yaxes(title_text="encoder fault b, deg", row=2, col=1)
-    return finish(figure, title, "dashed: threshold of joint 1; shaded: fault present; click a joint to show it")
+    return finish(
+        figure,
+        title,
+        f"dashed: threshold of {config.robot.joint_names[shown]}; shaded: fault present; click a joint to show it",
+    )
 
 
 def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:

@@ -16,7 +16,8 @@ import tuning
 
 ROOT = Path(jaxftc.__file__).parents[1]
 FLOORS = ("jaxftc", "tuning", "benchmarks", "tests")  # each may import those before it
-TICK = ("controller", "laguerre", "arx", "observer", "diagnosis", "control", "fuzzy", "smooth", "types", "gains")
+TICK = ("schemes", "controller", "baselines", "laguerre", "arx", "observer", "diagnosis", "control", "fuzzy", "smooth")
+TICK += ("types", "gains")
 PUBLIC = sorted(jaxftc._HOME)
 
 
@@ -75,7 +76,7 @@ def within(module: str, *rooms: str) -> bool:
 
 def test_there_is_something_to_read():
     assert {"jaxftc.controller", "jaxftc.closed_loop", "jaxftc.arm.mjx"} <= MODULES.keys()
-    assert "jaxftc.observer.cascade" in reachable("jaxftc.controller")
+    assert {"jaxftc.observer.cascade", "jaxftc.baselines.ekf"} <= reachable("jaxftc.schemes")
 
 
 @pytest.mark.parametrize("name", MODULES)

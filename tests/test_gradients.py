@@ -29,6 +29,7 @@ FUZZY_STAGE = {f"observer.{name}" for name in ("alpha_f1", "alpha_f2", "alpha_f3
 FUZZY_STAGE |= {f"observer.{channel}_{part}" for channel in ("tau", "jump") for part in ("centres", "widths")}
 FUZZY_GAIN = {f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")}
 SUPER_TWISTING = {"observer.alpha_sm", "observer.alpha_sm0", "observer.eps"}
+BASELINE = {name for name in NAMES if name.startswith("baseline.")}
 
 
 class Case(NamedTuple):
@@ -46,14 +47,14 @@ class Case(NamedTuple):
         return jaxftc.Config(jaxftc.puma560(), duration=TICKS * 1e-3, **structure)
 
 
-PLAIN = FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
-FULL = Case("chain", "ts", "afesmc", frozenset({"control.alpha_sm"}))
+PLAIN = BASELINE | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
+FULL = Case("chain", "ts", "afesmc", frozenset(BASELINE | {"control.alpha_sm"}))
 SMC = Case("chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
 CASES = {
     "chain-ts-afesmc": FULL,
     "mjx-ts-afesmc": FULL._replace(engine="mjx"),
     "chain-pi-smc": SMC,
-    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
+    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(BASELINE | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
     "mjx-pi-smc": SMC._replace(engine="mjx"),
 }
 

@@ -6,7 +6,6 @@ import pytest
 
 import jaxftc
 from tuning import Comparison, Term, compare
-from tuning.held_out import bootstrap
 
 
 def comparison(before, after, weights=(1.0, 2.0)):
@@ -23,13 +22,6 @@ def test_figures_of_a_known_case():
     assert c.as_dict()["terms"]["a"]["before"] == 2.0
     assert c.diverged == (0, 0)
     assert comparison(before, np.array([[10.0, 10.0, 1.0], [10.0, 0.0, 10.0]])).diverged == (0, 1)
-
-
-def test_bootstrap_intervals_cover_as_often_as_they_say():
-    random = np.random.default_rng(0)
-    mean = lambda x: x[0].mean(-1)  # noqa: E731
-    intervals = [bootstrap(random.exponential(size=(1, 60)), mean, seed) for seed in range(200)]
-    assert 0.89 < np.mean([low <= 1.0 <= high for _, low, high in intervals]) < 0.98
 
 
 def test_both_signs_on_both_presets_on_scenarios_of_the_key(paper_arm):

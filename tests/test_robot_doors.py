@@ -263,7 +263,8 @@ def test_dynamics_refuse_wrong_shapes_and_engines(puma):
     [
         ({"robot": "puma560"}, "robot must be a Robot, got str; call puma560() or load_robot(path)"),
         ({"engine": "mujoco"}, "engine must be one of 'mjx', 'chain', got 'mujoco'"),
-        ({"observer": "ESO"}, "observer must be one of 'pi', 'eso', 'ts', got 'ESO'"),
+        ({"observer": "ESO"}, "observer must be one of 'pi', 'eso', 'ts', 'eso_printed', got 'ESO'"),
+        ({"scheme": "kalman"}, "scheme must be one of 'cascade', 'momentum', 'ekf', 'computed_torque', got 'kalman'"),
         ({"control": "afsmc"}, "control must be one of 'smc', 'esmc', 'afesmc', got 'afsmc'; did you mean 'afesmc'?"),
         ({"input": "torques"}, "input must be one of 'rigid_body', 'torque', got 'torques'; did you mean 'torque'?"),
         ({"rules": "mended"}, "rules must be one of 'printed', 'symmetric', 's_only', got 'mended'"),
@@ -315,6 +316,8 @@ def with_gain(gains: jaxftc.Gains, path: str, value) -> jaxftc.Gains:
         ("observer.alpha_p", [1.01] * 6, "observer.alpha_p must lie in (0, 1]"),
         ("observer.alpha_i", [-1.0] * 6, "observer.alpha_i must lie in [0,"),
         ("control.outputs", [0.5, 1.0, 3.5], "control.outputs must lie in [0, 3]"),
+        ("baseline.rate", [0.0] * 6, "baseline.rate must lie in (0, inf) 1/s, got [0.0, "),
+        ("baseline.kp", [-1.0] * 6, "baseline.kp must lie in [0, inf) 1/s^2, got [-1.0, "),
         ("control.q_centres", [0.0] * 7, "control.q_centres must increase from set to set"),
         ("observer.jump_centres", [1.0, 0.0], "observer.jump_centres must increase from set to set, got [1.0, 0.0]"),
     ],

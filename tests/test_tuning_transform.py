@@ -153,6 +153,16 @@ def test_what_cannot_be_selected_is_refused(config, only, freeze, message):
         transform.select(config, only, freeze)
 
 
+def test_a_baseline_tunes_its_own_gains_only(config):
+    momentum = dataclasses.replace(config, scheme="momentum")
+    own = {"baseline.kp", "baseline.kd", "baseline.rate", "baseline.speed_weight", "diagnosis.alpha_tau"}
+    assert set(transform.select(momentum)) == own
+    with pytest.raises(ValueError, match=r"gain 'control.lam' does nothing with scheme 'momentum'"):
+        transform.select(momentum, ["control.lam"])
+    with pytest.raises(ValueError, match=r"gain 'baseline.rate' does nothing with observer 'ts' and control 'afesmc'"):
+        transform.select(config, ["baseline.rate"])
+
+
 def test_poles_of_the_torque_form_cannot_be_tuned(config):
     with pytest.raises(ValueError, match="nothing to tune"):
         transform.select(dataclasses.replace(config, input="torque"), ["arx"])

@@ -1,5 +1,6 @@
 """The wall: a tick knows the reference, the reading, its last command and its own past, and nothing else."""
 
+import dataclasses
 import inspect
 
 import jax
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.config import SCHEMES
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.reference import cubic
 
@@ -130,6 +132,33 @@ def test_what_it_was_told_explains_every_output(config, gains, run, replay, heal
             np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9 * scale, err_msg=name)
         else:
             np.testing.assert_array_equal(mine, theirs, err_msg=name)
+
+
+@pytest.mark.parametrize("scheme", [scheme for scheme in SCHEMES if scheme != "cascade"])
+def test_the_wall_stands_for_every_scheme(config, gains, healthy, scheme):
+    """Outputs follow from the log alone, and from nothing that comes later; both kinds of fault at once."""
+    config = dataclasses.replace(config, scheme=scheme)
+    ill = with_fault(healthy, "fault_tau", Actuator.BIAS, 5.0, ONSET * config.dt)
+    ill = with_fault(ill, "fault_q", Sensor.BIAS, 0.03, (ONSET + 5) * config.dt)
+    trace = jax.tree.map(np.asarray, jaxftc.simulate(config, gains, ill, jax.random.key(KEY)))
+    reference, measurement = told(config, ill, gains, trace)
+
+    @jaxftc.jit
+    def replay(reference, measurement):
+        start = jaxftc.init(config, gains, healthy.q_start)
+        return jax.lax.scan(lambda state, x: jaxftc.step(config, gains, state, *x), start, (reference, measurement))[1]
+
+    again = replay(reference, measurement)
+    for name, mine, theirs in zip(trace.out._fields, again, trace.out, strict=True):
+        scale = np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0) + 1e-9
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-9 * scale, err_msg=name)
+    later = (np.arange(config.ticks) >= ONSET)[:, None]
+    other = replay(
+        jax.tree.map(lambda x: x + 0.1 * later, reference),
+        jaxftc.Measurement(measurement.q + 0.01 * later, measurement.tau + 1.0 * later),
+    )
+    assert_same(*(jax.tree.map(lambda x: x[:ONSET], out) for out in (again, other)))
+    assert differ(*(jax.tree.map(lambda x: x[ONSET], out) for out in (again, other)))
 
 
 def test_two_worlds_that_look_the_same_get_the_same_answer(run, healthy):

@@ -39,8 +39,8 @@ class Tune(common.Options):
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
     """Seed of the scenarios, their noise and the search."""
-    preset: Literal["standard", "hard", "doubles", "paper"] = "standard"
-    """Laws that the training scenarios are drawn from."""
+    preset: str = "standard"
+    """Laws that the training scenarios are drawn from: standard, hard, doubles, paper, or your own TOML file."""
     observer: Literal["pi", "eso", "ts"] = "ts"
     """PI, with super-twisting, with Takagi-Sugeno."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
@@ -65,7 +65,7 @@ class Tune(common.Options):
         common.prepare(self, every_core=True)
         import jax
 
-        from jaxftc import Config, checks, sample_scenarios, save_gains
+        from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
         from tuning import report, transform
         from tuning.held_out import compare
         from tuning.loop import fit
@@ -80,12 +80,13 @@ class Tune(common.Options):
             rules=self.rules,
             duration=self.duration,
         )
+        preset = load_preset(self.preset)
         free = transform.select(config, self.only, self.freeze)
         start = common.load_or_default(self, config)
         train, validate, noise = jax.random.split(common.key(self), 3)
         count = self.settings.steps * self.settings.batch
-        training = sample_scenarios(train, count, self.preset, config=config)
-        validation = sample_scenarios(validate, self.settings.validation, self.preset, config=config)
+        training = sample_scenarios(train, count, preset, config=config)
+        validation = sample_scenarios(validate, self.settings.validation, preset, config=config)
         folder = common.make_folder(self, "tune")
         if self.out is None:
             common.say(self, f"If it is stopped, go on with --out {folder}")

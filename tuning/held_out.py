@@ -9,25 +9,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxftc import statistics
 from jaxftc.config import Config
 from jaxftc.faults.sample import sample_scenarios
 from jaxftc.faults.scenario import Scenario
 from jaxftc.gains import Gains
+from jaxftc.statistics import Interval, bootstrap
 from jaxftc.types import Array
 from tuning.problem import LOST, Problem
 from tuning.terms import OBJECTIVE, Term
 
 PRESETS = ("standard", "hard")
-RESAMPLES = 2000
-LEVEL = 0.95
-
-
-class Interval(NamedTuple):
-    """A figure and its bootstrap interval."""
-
-    value: float
-    low: float
-    high: float
 
 
 class Comparison(NamedTuple):
@@ -57,7 +49,7 @@ class Comparison(NamedTuple):
     def median(self) -> tuple[Interval, Interval]:
         """Median over scenarios of a scenario's own objective, before and after."""
         before, after = self.weights @ self.before, self.weights @ self.after
-        return tuple(bootstrap(x[None], lambda y: np.median(y[0], -1)) for x in (before, after))  # pyright: ignore[reportReturnType]
+        return statistics.median(before), statistics.median(after)
 
     @property
     def diverged(self) -> tuple[int, int]:
@@ -91,13 +83,6 @@ class Comparison(NamedTuple):
             "median_after": median[1],
             "terms": terms,
         }
-
-
-def bootstrap(pairs: np.ndarray, figure: Any, seed: int = 0) -> Interval:
-    """``figure`` of rows [k, scenarios], and its percentile interval over resampled scenarios."""
-    rows = np.random.default_rng(seed).integers(0, pairs.shape[1], (RESAMPLES, pairs.shape[1]))
-    tails = np.quantile(figure(pairs[:, rows]), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Interval(float(figure(pairs)), *map(float, tails))
 
 
 def compare(

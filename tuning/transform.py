@@ -41,9 +41,24 @@ FUZZY_OBSERVER = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centr
 FUZZY_OBSERVER += ("jump_centres", "jump_widths")
 
 
+COMPUTED_TORQUE = ("baseline.kp", "baseline.kd")
+USED_BY = {  # of all gains, those that a baseline uses
+    "computed_torque": (*COMPUTED_TORQUE, "baseline.speed_weight"),
+    "momentum": (*COMPUTED_TORQUE, "baseline.speed_weight", "baseline.rate", "diagnosis.alpha_tau"),
+    "ekf": (
+        *COMPUTED_TORQUE,
+        *(f"baseline.{name}" for name in ("noise_y", "walk_qd", "walk_psi", "walk_b")),
+        *("diagnosis.alpha_tau", "diagnosis.alpha_q"),
+    ),
+}
+
+
 def idle(config: Config) -> set[str]:
     """Gains that a config does not use, so that changing them does nothing."""
-    unused: dict[str, tuple[str, ...]] = {"observer": (), "control": ()}
+    if config.scheme != "cascade":
+        return {f"{block}.{name}" for block, name, _ in specs()} - set(USED_BY[config.scheme])
+    baseline = tuple(name for block, name, _ in specs() if block == "baseline")
+    unused: dict[str, tuple[str, ...]] = {"observer": (), "control": (), "baseline": baseline}
     if config.observer != "ts":
         unused["observer"] += FUZZY_OBSERVER
     if config.observer == "pi":
@@ -82,7 +97,10 @@ def _expand(config: Config, names: Iterable[str]) -> set[str]:
     found: set[str] = set()
     for name in names:
         if name in unused:
-            raise ValueError(f"gain {name!r} does nothing with observer {config.observer!r} and control {config.control!r}")
+            used = f"observer {config.observer!r} and control {config.control!r}"
+            raise ValueError(
+                f"gain {name!r} does nothing with {used if config.scheme == 'cascade' else f'scheme {config.scheme!r}'}"
+            )
         members = {gain for gain in allowed if gain.split(".")[0] == name}
         if not members:
             checks.one_of("gain", name, (*allowed, *BLOCKS))

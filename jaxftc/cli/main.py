@@ -13,11 +13,13 @@ from typing import Any
 
 import tyro
 
+from jaxftc.cli.calibrate import Calibrate
+from jaxftc.cli.campaign import Campaign
 from jaxftc.cli.demo import Demo
 from jaxftc.cli.simulate import Simulate
 from jaxftc.version import __version__
 
-COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate}
+COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate, "campaign": Campaign, "calibrate": Calibrate}
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 

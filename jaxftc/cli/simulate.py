@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
 
 from jaxftc.cli import common
 from jaxftc.files import write_text
@@ -18,7 +21,11 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass
 class Simulate(common.Options):
-    """One scenario: table by joint, trace.parquet and figures.html."""
+    """One scenario: table by joint, trace.parquet and figures.html.
+
+    One of the paper's conditions, or with --from and --id a scenario of a campaign, with the campaign's robot, gains and
+    timing; its row is then the campaign's bit for bit.
+    """
 
     scenario: Literal["healthy", "actuator", "sensor", "both"] = "actuator"
     """Condition of the paper."""
@@ -32,6 +39,10 @@ class Simulate(common.Options):
     """Size of the actuator fault, N m."""
     angle: float = 1.5
     """Size of the encoder fault, deg."""
+    campaign: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """Folder of a campaign (of one scheme)."""
+    id: int | None = None
+    """Scenario of that campaign."""
     t_final: float = 1.0
     """End of the motion, s."""
     duration: float | None = None
@@ -39,8 +50,30 @@ class Simulate(common.Options):
 
     def run(self) -> None:
         """Run it, print the table, write the trace, the figures and result.json."""
+        from_campaign = self.campaign is not None
+        if from_campaign != (self.id is not None):
+            raise ValueError("--from and --id go together: a campaign's folder and one of its scenarios")
         common.prepare(self)
-        from jaxftc import Config, metrics, paper_scenario, report, simulate, trace_file
+        from jaxftc import metrics, report, trace_file
+
+        config, trace, title, more = self._again() if from_campaign else self._paper()
+        result = summary(config, trace, metrics.evaluate(config, trace)) | more
+        folder = common.make_folder(self, "simulate")
+        trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
+        text = common.write_json(folder / "result.json", result)
+        write_text(folder / "figures.html", report.trace_page(config, trace, title))
+        common.say(self, table(title, result))
+        if from_campaign:
+            common.say(self, row_as_text(result))
+        common.say(
+            self, f"\nWritten: {', '.join(str(folder / name) for name in ('trace.parquet', 'figures.html', 'result.json'))}"
+        )
+        if self.json:
+            print(text)
+
+    def _paper(self) -> tuple[Config, dict[str, np.ndarray], str, dict[str, Any]]:
+        """One of the paper's conditions: config, columns of its trace, title, nothing more."""
+        from jaxftc import Config, metrics, paper_scenario, simulate
 
         for name in ("torque", "angle"):
             if not math.isfinite(getattr(self, name)):
@@ -56,19 +89,33 @@ class Simulate(common.Options):
         )
         gains = common.load_or_default(self, config)
         scenario = paper_scenario(self.scenario, config, torque=self.torque, angle=math.radians(self.angle))
-        folder = common.make_folder(self, "simulate")
-        trace = metrics.columns(simulate(config, gains, scenario, common.key(self)))
-        result = summary(config, trace, metrics.evaluate(config, trace))
-        trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
-        text = common.write_json(folder / "result.json", result)
         title = f"{self.scenario}: {self.observer.upper()} observer, {self.control.upper()} control"
-        write_text(folder / "figures.html", report.trace_page(config, trace, title))
-        common.say(self, table(title, result))
-        common.say(
-            self, f"\nWritten: {', '.join(str(folder / name) for name in ('trace.parquet', 'figures.html', 'result.json'))}"
-        )
-        if self.json:
-            print(text)
+        return config, metrics.columns(simulate(config, gains, scenario, common.key(self))), title, {}
+
+    def _again(self) -> tuple[Config, dict[str, np.ndarray], str, dict[str, Any]]:
+        """A scenario of a campaign, by the campaign's own program; its row, and whether the stored one is the same."""
+        import numpy as np
+
+        from jaxftc import Config, metrics
+        from jaxftc.monte_carlo import store
+        from jaxftc.monte_carlo.job import again, load
+
+        assert self.campaign is not None and self.id is not None
+        if not 0 <= self.id < 2**31:
+            raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
+        asked = store.read_manifest(self.campaign)["request"]
+        options = dataclasses.replace(self, robot=asked["robot"], coulomb=asked["coulomb"] and asked["robot"] == "puma560")
+        base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
+        job = load(self.campaign, base)
+        row, trace = again(job, self.id)
+        stored = store.read_rows(self.campaign, self.id + 1, where=f"scenario_id = {self.id}")
+        same = None
+        if len(stored["scenario_id"]):
+            same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())
+        values = {name: column[0].item() for name, column in row.items()}
+        clean = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+        title = f"scenario {self.id} of {self.campaign}, scheme {asked['scheme']}"
+        return job.config, metrics.columns(trace), title, {"row": clean, "same_as_stored": same}
 
 
 def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> dict[str, Any]:
@@ -123,3 +170,11 @@ def table(title: str, result: dict[str, Any]) -> str:
     if limited:
         lines.append(f"torque limit reached by {', '.join(limited)} of the time: estimates of these joints mean little then")
     return "\n".join(lines)
+
+
+def row_as_text(result: dict[str, Any]) -> str:
+    """The campaign's row of a scenario, without the delays at other thresholds."""
+    row = {name: value for name, value in result["row"].items() if not name.startswith("delay_at_")}
+    words = {None: "not there: the campaign has not come to it", True: "the same to the last bit", False: "DIFFERENT"}
+    lines = ["", "row:", *(f"  {name:22} {'-' if value is None else value}" for name, value in row.items() if value != "")]
+    return "\n".join([*lines, f"stored row: {words[result['same_as_stored']]}"])

@@ -20,7 +20,7 @@ class Surface(NamedTuple):
     s: Array  # [n, ...] rad/s
 
 
-def speed(gains: ControlGains, qd: Array, acceleration: Array, q_before: Array, q: Array, dt: float) -> Array:
+def speed(weight: Array, qd: Array, acceleration: Array, q_before: Array, q: Array, dt: float) -> Array:
     """Speed [n, ...] rad/s of this tick from that of the last, its acceleration [n, ...] rad/s^2 and two angles.
 
     A difference quotient is the speed half a tick ago; the acceleration brings it up to now. Without that, a motion with
@@ -28,7 +28,7 @@ def speed(gains: ControlGains, qd: Array, acceleration: Array, q_before: Array, 
     """
     predicted = qd + dt * acceleration
     measured = (q - q_before) / dt + 0.5 * dt * acceleration
-    return predicted + gains.speed_weight * (measured - predicted)
+    return predicted + weight * (measured - predicted)
 
 
 def surface(gains: ControlGains, q: Array, qd: Array, reference: Reference) -> Surface:

@@ -75,8 +75,8 @@ def step(
     """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad; the reading and qd_hat rad/s feed the second look."""
     s_tau, s_q, seen, qd_hat = jax.lax.stop_gradient((s_tau, s_q, seen, qd_hat))
     level = jax.lax.stop_gradient(gains.diagnosis)
-    tau_on, tau_run = _alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
-    q_on, q_run = _alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
+    tau_on, tau_run = alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
+    q_on, q_run = alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
 
     alarmed = (state.tau_on > 0) | (tau_on > 0)
     age = jnp.where(alarmed, state.age + 1, 0.0)
@@ -105,7 +105,7 @@ def step(
     return State(tau_on, tau_run, q_on, q_run, age, peak, kicked, quiet, jumps, lean, seen.y, equal, speed, doubt), verdict
 
 
-def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, fall: int) -> tuple[Array, Array]:
+def alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, fall: int) -> tuple[Array, Array]:
     """Two-level switch with persistence: (alarm, run length), Eq. (17) with |S|."""
     against = jnp.where(on > 0, jnp.abs(s) < RELEASE * alpha, jnp.abs(s) >= alpha)
     run = jnp.where(against, run + 1, 0.0)

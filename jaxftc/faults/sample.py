@@ -1,172 +1,186 @@
-"""Presets: scenarios drawn from laws, each a function of the key and of its id alone.
+"""Scenarios drawn from a preset's laws, each a function of the key and of its id alone.
 
-Scenario ``id`` is drawn with ``fold_in(key, id)``, so it does not depend on how many are drawn, in which order or chunk.
-Faults are sized by the joint's torque limit and by angles; sizes that fit the arm's own kinds are in ``kinds.py``.
+Scenario ``id`` is drawn with ``fold_in(key, id)``, so it does not depend on how many are drawn, in which order or chunk. Its
+uniform numbers are dealt in a fixed order, also those for kinds of fault that the preset does not have: a law that changes
+changes no other draw. What is new is dealt last, so that a preset draws today what it drew before.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.arm.plant import nominal_plant
+from jaxftc.arm.plant import Plant
 from jaxftc.compile import jit
 from jaxftc.config import Config
+from jaxftc.faults.dice import Dice
 from jaxftc.faults.kinds import Actuator, Fault, Sensor
-from jaxftc.faults.scenario import CONDITIONS, ENCODER_NOISE, Scenario, paper_motion, paper_scenario, stack
+from jaxftc.faults.laws import scaled
+from jaxftc.faults.preset import Paper, Preset, Times
+from jaxftc.faults.preset_file import as_dict as as_dict
+from jaxftc.faults.preset_file import load_preset as load_preset
+from jaxftc.faults.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
+from jaxftc.faults.presets import PRESET_NAMES as PRESET_NAMES
+from jaxftc.faults.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
 from jaxftc.types import Array
 
-SLOW = (Sensor.DRIFT, Sensor.FREEZE, Sensor.SCALE, Sensor.NOISE)
+DEG = math.radians(1.0)  # rad
 
 
-@dataclasses.dataclass(frozen=True)
-class Preset:
-    """Laws of a preset: shares of the conditions, kinds and sizes of faults, how the arm differs from its model."""
+def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard", *, config: Config) -> Scenario:
+    """Draw n scenarios with a leading axis, ids 0 to n - 1.
 
-    shares: tuple[float, float, float, float] = (0.2, 0.3, 0.3, 0.2)  # healthy, actuator, sensor, both
-    actuator_kinds: tuple[Actuator, ...] = (Actuator.BIAS, Actuator.LOSS, Actuator.STUCK)
-    sensor_kinds: tuple[Sensor, ...] = (Sensor.BIAS, *SLOW)
-    sensor_kinds_in_both: tuple[Sensor, ...] = (Sensor.BIAS,)
-    joints: int = 1  # at fault in a channel at once
-    smaller: float = 1.0  # factor on the lower bounds of all sizes
-    gradual: float = 0.0  # share of incipient faults, and the same share of intermittent ones
-    mass: float = 0.02  # +- on each link
-    friction: float = 0.10  # +- on each joint's viscous and Coulomb friction
-    payload: float = 0.0  # kg, the most
-
-
-PRESETS = {
-    "standard": Preset(),
-    "hard": Preset(joints=2, smaller=0.5, gradual=1 / 3, mass=0.05, friction=0.20, payload=1.0),
-    "doubles": Preset(shares=(0.0, 0.0, 0.0, 1.0), sensor_kinds_in_both=SLOW),
-}
-BIAS_TAU, LOSS, SATURATION = (0.05, 0.3), (0.3, 0.9), (0.1, 0.5)  # of the torque limit; lost share; share left
-BIAS_Q, DRIFT = (math.radians(0.2), math.radians(5.0)), (math.radians(5.0), math.radians(50.0))  # rad, rad/s
-SCALE, NOISE = (0.02, 0.10), (20.0, 100.0)  # share of the angle; factor on the noise
-START, TRAVEL = math.radians(30.0), math.radians(90.0)  # rad, +- about the paper's start, and per joint
-ONSET, LASTING = (0.1, 0.5), (0.1, 0.4)  # s; half of the faults stay instead
-RISE, PERIOD, DUTY = (0.02, 0.2), (0.05, 0.2), (0.3, 0.8)  # s, s, 1
-
-
-def sample_scenarios(key: Array, n: int, preset: str = "standard", *, config: Config) -> Scenario:
-    """Draw n scenarios with a leading axis; ``paper`` deals the paper's four conditions in turn and draws nothing.
+    ``preset`` is a name, the path of a preset file, or a ``Preset``. ``paper`` deals the paper's four conditions in turn and
+    draws nothing.
 
     Raises:
-        ValueError: an unknown preset, n below 1, or an arm without the torque limits that faults are sized by.
+        ValueError: an unknown preset, a preset file that is not right, n below 1, or a preset that does not fit the arm.
     """
-    checks.one_of("preset", preset, ("paper", *PRESETS))
+    laws = load_preset(preset)
     checks.integer("n", n, 1, "it is the number of scenarios")
-    ids = jnp.arange(n, dtype=jnp.int32)
-    if preset == "paper":
+    check_arm(laws, config, "the preset" if isinstance(preset, Preset) else f"preset {str(preset)!r}")
+    return _draw_all(laws, config, key, jnp.arange(n, dtype=jnp.int32))
+
+
+def draw_all(preset: Preset, config: Config, key: Array, ids: Array) -> Scenario:
+    """Draw the scenarios of some ids [...] int32; the leaves of the result have the axes of ids first.
+
+    Each depends on its id and the key alone. Under ``jax.jit``, preset and config are static.
+
+    Raises:
+        ValueError: the preset does not fit the arm.
+    """
+    check_arm(preset, config, "the preset")
+    return _draw_all(preset, config, key, jnp.asarray(ids, jnp.int32))
+
+
+def check_arm(preset: Preset, config: Config, name: str) -> None:
+    """Refuse a preset that the arm cannot have: joints that are not there, faults of torque limits that are not there.
+
+    Raises:
+        ValueError: starting with ``name``, what came and what to do.
+    """
+    allowed = preset.joints.allowed
+    if allowed is not None and max(allowed) > config.n:
+        raise ValueError(f"{name}: joints.allowed: {config.robot.name!r} has joints 1 to {config.n}, got {list(allowed)}")
+    if isinstance(preset, Paper) or preset.shares.actuator + preset.shares.both == 0:
+        return
+    bias = preset.actuator.bias
+    by_limit = preset.actuator.saturation is not None or (bias is not None and bias.unit == "limit")
+    if by_limit and not np.isfinite(config.robot.torque_limit[_allowed(preset, config)]).all():
+        raise ValueError(
+            f"{name} sizes faults by torque limits, {config.robot.name!r} has "
+            f"{config.robot.torque_limit.tolist()} N m; give every joint a motor with a ctrlrange, "
+            'take a preset without saturation and with actuator.bias.unit = "N m", or build Scenario yourself'
+        )
+
+
+def _draw_all(preset: Preset, config: Config, key: Array, ids: Array) -> Scenario:
+    if isinstance(preset, Paper):
         four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
         return jax.tree.map(lambda leaf: leaf[ids % len(CONDITIONS)], four)._replace(id=ids)
-    if not np.isfinite(config.robot.torque_limit).all():
-        raise ValueError(
-            f"preset {preset!r} sizes faults by torque limits, {config.robot.name!r} has "
-            f"{config.robot.torque_limit.tolist()} N m; "
-            "give every joint a motor with a ctrlrange, or build Scenario yourself"
-        )
-    return _draw_all(PRESETS[preset], config, key, ids)
-
-
-def _draw_all(laws: Preset, config: Config, key: Array, ids: Array) -> Scenario:
-    return jax.vmap(lambda i: draw(laws, config, jax.random.fold_in(key, i), i))(ids)
+    drawn = jax.vmap(lambda i: draw(preset, config, jax.random.fold_in(key, i), i))(ids.reshape(-1))
+    return jax.tree.map(lambda leaf: leaf.reshape(*ids.shape, *leaf.shape[1:]), drawn)
 
 
 _draw_all = jit(_draw_all, static_argnums=(0, 1))
 
 
-class Dice:
-    """Uniform numbers of one scenario, drawn at once (one random call compiles in a second, forty do not) and dealt out."""
-
-    def __init__(self, key: Array, count: int) -> None:
-        self._left = jax.random.uniform(key, (count,), float)
-
-    def __call__(self, low: float | Array, high: float | Array, shape: tuple[int, ...] = ()) -> Array:
-        """The next numbers, U(low, high)."""
-        size = math.prod(shape)
-        taken, self._left = self._left[:size], self._left[size:]
-        return low + (high - low) * taken.reshape(shape)
-
-    def choice(self, options: tuple[int, ...]) -> Array:
-        """One of some kinds, equally likely, int32."""
-        index = self(0.0, len(options)).astype(jnp.int32)  # U is below 1
-        return jnp.asarray(options, jnp.int32)[index]
-
-    def side(self) -> Array:
-        """Either -1 or 1."""
-        return jnp.sign(self(-1.0, 1.0))
-
-    def joints(self, count: int, n: int) -> Array:
-        """``count`` different joints, [n] bool."""
-        return jnp.argsort(self(0.0, 1.0, (n,))) < count
-
-
-def draw(laws: Preset, config: Config, key: Array, scenario_id: Array) -> Scenario:
+def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scenario:
     """One scenario from its own key."""
     n = config.n
-    dice = Dice(key, 32 + 7 * n)
-    condition = jnp.searchsorted(jnp.cumsum(jnp.asarray(laws.shares[:3])), dice(0.0, 1.0), side="right")
-    q_start = paper_motion(config)[0] + dice(-START, START, (n,))  # start: U(+-30 deg)
-    q_goal = q_start + dice(-TRAVEL, TRAVEL, (n,))  # travel: U(+-90 deg)
-    law = _times(laws, dice)
-    torque = _actuator(laws, config, dice)
-    alone, beside = _sensor(laws, laws.sensor_kinds, dice), _sensor(laws, laws.sensor_kinds_in_both, dice)
-    angle = jnp.where(condition == 3, beside, alone)
-    tau_joints, q_joints = dice.joints(laws.joints, n), dice.joints(laws.joints, n)
+    dice = Dice(key, 27 + 9 * n)
+    condition = jnp.searchsorted(_bounds(preset), dice.number(), side="right")
+    q_start = paper_motion(config)[0] + dice(scaled(preset.motion.start_deg, DEG), (n,))
+    q_goal = q_start + dice(scaled(preset.motion.travel_deg, DEG), (n,))
+    law = _times(preset.times, dice)
+    torque = _actuator(preset.actuator, config, dice)
+    beside = preset.sensor if preset.sensor_in_both is None else preset.sensor_in_both
+    angles = _sensor(preset.sensor, dice), _sensor(beside, dice)
+    angle = jnp.where(condition == 3, angles[1], angles[0])
+    choose = functools.partial(dice.joints, preset.joints.at_once, _allowed(preset, config), n)
+    tau_joints, q_joints = choose(), choose()
+    plant = preset.plant
+    mass, damping, coulomb = (dice(factor, (n,)) for factor in (plant.mass, plant.damping, plant.coulomb))
+    payload, noise = dice(plant.payload_kg), dice(preset.encoder.noise_rad)
+    armature, torque_constant = dice(plant.armature, (n,)), dice(plant.torque_constant, (n,))
     return Scenario(
         id=scenario_id,
         q_start=q_start,
         q_goal=q_goal,
-        noise=jnp.asarray(ENCODER_NOISE, float),
+        noise=noise,
         fault_tau=_fault(torque, tau_joints & ((condition == 1) | (condition == 3)), law),
         fault_q=_fault(angle, q_joints & (condition >= 2), law),
-        plant=nominal_plant(config.robot)._replace(
-            mass=dice(1 - laws.mass, 1 + laws.mass, (n,)),
-            damping=dice(1 - laws.friction, 1 + laws.friction, (n,)),
-            coulomb=dice(1 - laws.friction, 1 + laws.friction, (n,)),
-            payload=dice(0.0, laws.payload),
-        ),
+        plant=Plant(mass, payload, armature, damping, coulomb, torque_constant),
     )
 
 
-def _actuator(laws: Preset, config: Config, dice: Dice) -> Array:
+def _allowed(preset: Preset, config: Config) -> list[int]:
+    """Joints that can be at fault, counted from 0."""
+    allowed = preset.joints.allowed
+    return list(range(config.n)) if allowed is None else sorted(joint - 1 for joint in allowed)
+
+
+def _bounds(preset: Preset) -> Array:
+    """Upper ends [3] of healthy, actuator and sensor on 0..1."""
+    shares = list(dataclasses.astuple(preset.shares))
+    nothing_after = np.array([not any(shares[k + 1 :]) for k in range(3)])
+    return jnp.where(nothing_after, 1.0, jnp.cumsum(jnp.asarray(shares[:3])))  # a sum can end just below 1
+
+
+def _actuator(channel: ActuatorFaults, config: Config, dice: Dice) -> Array:
     """(kind, magnitude [n]) of an actuator fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
-    kind, side = dice.choice(laws.actuator_kinds), dice.side()
-    bias, loss, left = (dice(laws.smaller * low, high) for low, high in (BIAS_TAU, LOSS, SATURATION))
-    limit = jnp.asarray(config.robot.torque_limit, float)
+    kind, side = dice.kind(kinds(channel), Actuator), dice.side()
+    bias, loss, left = (_size(fault, side, dice) for fault in (channel.bias, channel.loss, channel.saturation))
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 0.0)
+    unit = limit if channel.bias is not None and channel.bias.unit == "limit" else np.ones(config.n)
     size = jnp.select(
         [kind == Actuator.BIAS, kind == Actuator.LOSS, kind == Actuator.SATURATION],
-        [side * bias * limit, jnp.full_like(limit, loss), jnp.full_like(limit, left)],
-        jnp.zeros_like(limit),
+        [bias * jnp.asarray(unit, float), jnp.full(config.n, loss), jnp.full(config.n, left)],
+        jnp.zeros(config.n),
     )
     return jnp.concatenate([kind[None].astype(float), size])
 
 
-def _sensor(laws: Preset, kinds: tuple[Sensor, ...], dice: Dice) -> Array:
+def _sensor(channel: SensorFaults, dice: Dice) -> Array:
     """(kind, magnitude) of an encoder fault as one array [2]."""
-    kind, side = dice.choice(kinds), dice.side()
-    bias, drift, scale, noise = (dice(laws.smaller * low, high) for low, high in (BIAS_Q, DRIFT, SCALE, NOISE))
-    sizes = {Sensor.BIAS: side * bias, Sensor.DRIFT: side * drift, Sensor.SCALE: side * scale, Sensor.NOISE: noise}
-    size = jnp.select([kind == k for k in sizes], list(sizes.values()), 0.0)
-    return jnp.stack([kind.astype(float), size])
+    kind, side = dice.kind(kinds(channel), Sensor), dice.side()
+    sized = {
+        Sensor.BIAS: channel.bias,
+        Sensor.DRIFT: channel.drift,
+        Sensor.SCALE: channel.scale,
+        Sensor.NOISE: channel.noise,
+    }
+    sizes = [_size(fault, side, dice) for fault in sized.values()]
+    return jnp.stack([kind.astype(float), jnp.select([kind == k for k in sized], sizes, 0.0)])
 
 
-def _times(laws: Preset, dice: Dice) -> dict[str, Array]:
+def _size(fault: Sized | None, side: Array, dice: Dice) -> Array:
+    """The size of a kind of fault, in rad, rad/s, N m or 1; zero, from a number all the same, if it does not occur."""
+    size = dice(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
+    return side * size if isinstance(fault, Signed) and fault.sign == "random" else size
+
+
+def _times(times: Times, dice: Dice) -> dict[str, Array]:
     """Onset, clearance, rise, period and duty of one scenario; both channels share them."""
-    onset = dice(*ONSET)  # onset: U(.1, .5) s
-    clear = jnp.where(dice(0.0, 1.0) < 0.5, jnp.inf, onset + dice(*LASTING))  # half stay, half clear after U(.1, .4) s
-    u, rise, period, duty = dice(0.0, 1.0), dice(*RISE), dice(*PERIOD), dice(*DUTY)
-    ramps, comes_and_goes = u < laws.gradual, (u >= laws.gradual) & (u < 2 * laws.gradual)
+    slow, coming = times.incipient, times.intermittent
+    onset = dice(times.onset_s)
+    stays, lasting = dice.number() < times.permanent, dice(0.0 if times.lasting_s is None else times.lasting_s)
+    u, rise = dice.number(), dice(slow.rise_s if slow else 0.0)
+    period, duty = dice(coming.period_s if coming else math.inf), dice(coming.duty if coming else 1.0)
+    ramp = slow.share if slow else 0.0
+    comes_and_goes = (u >= ramp) & (u < ramp + (coming.share if coming else 0.0))
     return {
         "onset": onset,
-        "clear": clear,
-        "rise": jnp.where(ramps, rise, 0.0),
+        "clear": jnp.where(stays, jnp.inf, onset + lasting),
+        "rise": jnp.where(u < ramp, rise, 0.0),
         "period": jnp.where(comes_and_goes, period, jnp.inf),
         "duty": jnp.where(comes_and_goes, duty, 1.0),
     }

@@ -105,9 +105,11 @@ def explain(
     pi_next, psi = pi.step(gains.observer, state.pi, e)
     sliding_next = state.sliding
     if config.observer != "pi":
-        sliding_next, psi_sm = super_twisting.step(
-            gains.observer, state.sliding, e, jump.h_s, config.dt, hard=config.sign == "hard"
-        )
+        hard = config.sign == "hard"
+        if config.observer == "eso_printed":
+            sliding_next, psi_sm = super_twisting.step_printed(gains.observer, state.sliding, e, hard=hard)
+        else:
+            sliding_next, psi_sm = super_twisting.step(gains.observer, state.sliding, e, jump.h_s, config.dt, hard=hard)
         psi = psi + psi_sm  # Eq. (15)
     if config.observer == "ts":
         psi = psi + state.adaptive.psi  # Eq. (15)

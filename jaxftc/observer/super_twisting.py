@@ -10,7 +10,7 @@ from jaxftc.types import Array
 
 
 class State(NamedTuple):
-    """The super-twisting integral."""
+    """The super-twisting integral; of the printed form, which has none, psi_SM of the coming tick."""
 
     gamma: Array  # [n, ...] rad/s^2
 
@@ -25,3 +25,13 @@ def step(gains: ObserverGains, state: State, e: Array, h_s: Array | float, dt: f
     sgn = smooth.sign(e, gains.eps, hard=hard)
     psi = gains.alpha_sm * smooth.magnitude_root(e) * sgn * (1 - h_s) + state.gamma  # Eq. (7), corrected
     return State(state.gamma + dt * gains.alpha_sm0 * sgn), psi
+
+
+def step_printed(gains: ObserverGains, state: State, e: Array, *, hard: bool) -> tuple[State, Array]:
+    """psi_SM [n, ...] rad/s^2 as Eq. (7) prints it, for comparison; alpha_SM0 counts in rad/s^2 here.
+
+    psi_SM+ = alpha_SM |e|^1/2 sgn(e) - gamma, gamma = -alpha_SM0 sgn(e): a relay, and a tick late.
+    """
+    sgn = smooth.sign(e, gains.eps, hard=hard)
+    gamma = -gains.alpha_sm0 * sgn
+    return State(gains.alpha_sm * smooth.magnitude_root(e) * sgn - gamma), state.gamma  # Eq. (7), as printed

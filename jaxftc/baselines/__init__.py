@@ -1,0 +1,1 @@
+"""What the cascade is measured against: the field's standard methods behind the same contract."""

@@ -1,0 +1,106 @@
+"""``jaxftc calibrate``: thresholds for a wanted share of healthy runs with an alarm."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxftc.cli import common
+from jaxftc.cli.campaign import Laws, SchemeName
+
+if TYPE_CHECKING:
+    from jaxftc.config import Config
+    from jaxftc.gains import Gains
+    from jaxftc.monte_carlo.calibrate import Calibration
+
+
+@dataclasses.dataclass
+class Calibrate(Laws):
+    """Set the thresholds from healthy runs, for a share of runs with an alarm; writes gains.toml and result.json.
+
+    The runs are simulated, on motions and arms of the preset, or cut from recorded logs of the healthy arm.
+    """
+
+    scheme: SchemeName = "cascade"
+    """What diagnoses and controls, as in jaxftc campaign."""
+    false_alarms: float = 0.01
+    """Share of healthy runs that may raise an alarm."""
+    confidence: float = 0.95
+    """Confidence that the share is not larger."""
+    runs: int = 8192
+    """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
+    logs: tuple[Path, ...] = ()
+    """Logs to use instead, CSV or Parquet: t in s, q1, q2, ... in rad, tau1, tau2, ... in N m. Every --duration s (1 s) of
+    them counts as a run."""
+
+    def run(self) -> None:
+        """Set, check, write."""
+        from jaxftc import checks
+
+        checks.integer("--runs", self.runs, 2, "half of them set the thresholds, half check them")
+        common.prepare(self)
+        from tqdm import tqdm
+
+        from jaxftc import save_gains
+        from jaxftc.logs import read
+        from jaxftc.monte_carlo.calibrate import calibrate_on_logs
+        from jaxftc.monte_carlo.job import SILENT, as_record, scheme_config, thresholds
+
+        if self.scheme in SILENT:
+            raise ValueError(
+                f"scheme {self.scheme!r} has no diagnosis, so there is no threshold to set; give another --scheme"
+            )
+        job = self.job(scheme_config(self.base(), self.scheme))
+        folder = common.make_folder(self, "calibrate")
+        if self.logs:
+            found = calibrate_on_logs(
+                job.config,
+                job.gains,
+                [read(path, job.config) for path in self.logs],
+                false_alarms=self.false_alarms,
+                confidence=self.confidence,
+            )
+        else:
+            with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
+                found = thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
+        save_gains(folder / "gains.toml", found.gains, job.config)
+        record = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
+        text = common.write_json(folder / "result.json", record)
+        common.say(self, table(job.config, job.gains, found))
+        common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
+        if self.json:
+            print(text)
+
+
+def by_joint(config: Config, gains: Gains) -> dict[str, dict[str, float]]:
+    """Thresholds by joint's name."""
+    import numpy as np
+
+    values = (np.asarray(gains.diagnosis.alpha_tau), np.rad2deg(np.asarray(gains.diagnosis.alpha_q)))
+    names = config.robot.joint_names
+    return {
+        key: {name: float(x) for name, x in zip(names, value, strict=True)}
+        for key, value in zip(("alpha_tau_nm", "alpha_q_deg"), values, strict=True)
+    }
+
+
+def table(config: Config, before: Gains, found: Calibration) -> str:
+    """Thresholds before and after, and what they reach."""
+    was, now = by_joint(config, before), by_joint(config, found.gains)
+    lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
+    for name in config.robot.joint_names:
+        torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
+        lines.append(f"{name:10}{torque:>28}{angle:>30}")
+    low, high = found.reached[1:]
+    lines.append(
+        f"\nfalse alarms: {100 * found.reached.value:.2f} % of {found.fresh} fresh healthy runs, 95 % [{100 * low:.2f}, "
+        f"{100 * high:.2f}]; wanted at most {100 * found.wanted:g} % with {100 * found.confidence:g} % confidence"
+    )
+    lines += (
+        []
+        if found.met
+        else ["MORE THAN WANTED: the fresh runs differ from those the thresholds were set on; give more --runs"]
+    )
+    lines += [] if found.settled else [f"the thresholds still moved after {found.rounds} rounds"]
+    return "\n".join(lines)

@@ -1,0 +1,155 @@
+"""``jaxftc campaign``: thousands of fault scenarios, scored in the loop; rows on disk, a summary and a report."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jaxftc.cli import common
+from jaxftc.files import write_text
+
+if TYPE_CHECKING:
+    from jaxftc.config import Config
+    from jaxftc.monte_carlo.job import Job
+
+SchemeName = Literal["cascade", "pi", "eso", "eso_printed", "smc", "esmc", "momentum", "ekf", "computed_torque"]
+
+
+@dataclasses.dataclass
+class Laws(common.Options):
+    """Options of the commands that draw scenarios from a preset."""
+
+    preset: str = "standard"
+    """Laws of the scenarios: standard, hard, doubles, paper, or your own TOML file."""
+    engine: Literal["mjx", "chain"] = "chain"
+    """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
+    coulomb: bool = True
+    """Give the PUMA 560 its Coulomb friction, in plant and model."""
+    seed: int = 0
+    """Seed of the scenarios and their noise."""
+    duration: float | None = None
+    """Length of a run, s; the motion's, 1 s, if not given."""
+
+    def base(self) -> Config:
+        """Robot, engine and timing, before a scheme is chosen."""
+        from jaxftc import Config
+
+        return Config(common.load_arm(self), engine=self.engine, duration=self.duration)
+
+    def job(self, config: Config) -> Job:
+        """Everything that a row depends on, with the gains that were asked for."""
+        from jaxftc.faults.preset_file import load_preset
+        from jaxftc.faults.sample import check_arm
+        from jaxftc.monte_carlo.job import Job
+
+        common.key(self)  # the seed's range
+        preset = load_preset(self.preset)
+        check_arm(preset, config, self.preset)
+        return Job(config, common.load_or_default(self, config), preset, self.seed)
+
+
+@dataclasses.dataclass
+class Campaign(Laws):
+    """Monte-Carlo fault campaign: rows in Parquet, summary.json and report.html.
+
+    After a stop the same command with the same --out goes on; with a larger -n it goes on to more scenarios.
+    """
+
+    n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 1000
+    """Number of scenarios."""
+    scheme: SchemeName = "cascade"
+    """What diagnoses and controls: the cascade (T-S observer, AFESMC), the cascade with another observer or controller, or a
+    baseline."""
+    compare: str | None = None
+    """Several schemes on the same scenarios instead, by their names with commas: cascade,momentum,ekf."""
+    false_alarms: float | None = None
+    """Set the thresholds first, for this share of healthy runs with an alarm; 0.01 with --compare, otherwise those of the
+    gains stay."""
+    worst: int = 3
+    """Scenarios of each scheme whose traces the report shows."""
+
+    def run(self) -> None:
+        """Run what is missing, then read all rows; write summary and report."""
+        from jaxftc import checks
+
+        checks.integer("-n", self.n, 1, "it is the number of scenarios")
+        checks.integer("--worst", self.worst, 0, "it is the number of traces in the report")
+        names = self._names()
+        common.prepare(self)
+        import json
+
+        from jaxftc.monte_carlo import page, store, versus
+        from jaxftc.monte_carlo.job import scheme_config
+
+        jobs = {name: self.job(scheme_config(self.base(), name)) for name in names}
+        folder = common.make_folder(self, "campaign")
+        if self.out is None:
+            common.say(self, f"If it is stopped, go on with --out {folder}")
+        folders = {name: folder / name if self.compare else folder for name in names}
+        found: dict[str, dict[str, Any]] = {}
+        for name, job in jobs.items():
+            folders[name].mkdir(exist_ok=True)
+            found[name] = self._one(folders[name], job, name)
+        common.say(self, versus.as_text(found))
+        if self.compare:
+            rows = {name: store.read_rows(folders[name], self.n, versus.PAIRED) for name in names}
+            pairs = versus.against(rows)
+            common.say(self, versus.pairs_as_text(pairs))
+            text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs})
+            write_text(folder / store.REPORT, page.comparison(found, pairs))
+        else:
+            common.say(self, versus.kinds_as_text(found[names[0]]))
+            text = json.dumps(found[names[0]], indent=2, allow_nan=False)
+        rows_at = "a folder for each scheme" if self.compare else "rows (chunk-*.parquet)"
+        common.say(self, f"\nWritten to {folder}: {rows_at}, summary.json, report.html")
+        if self.json:
+            print(text)
+
+    def _names(self) -> list[str]:
+        """Schemes to run, the one that the others are held against first."""
+        from jaxftc import checks
+
+        if self.compare is None:
+            return [self.scheme]
+        names = [name.strip() for name in self.compare.split(",")]
+        for name in names:
+            checks.one_of("--compare", name, SchemeName.__args__)
+        if len(set(names)) < max(len(names), 2):
+            raise ValueError(f"--compare takes two or more different schemes with commas, got {self.compare!r}")
+        return names
+
+    def _one(self, folder: Path, job: Job, name: str) -> dict[str, Any]:
+        """One scheme: thresholds, missing rows, summary and report of its own."""
+        from tqdm import tqdm
+
+        from jaxftc.monte_carlo import page, store, summary
+        from jaxftc.monte_carlo.job import begin, complete, worst
+
+        share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
+        request = self._request(name, share)
+        with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
+            job, manifest = begin(folder, job, request, share, bar.update)
+        with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
+            progress = complete(folder, job, self.n, bar.update, lambda text: common.say(self, text))
+        rows = store.read_rows(folder, self.n)
+        result = summary.summarise(rows, name) | {"scenario_steps_per_s": progress.rate, "rows_kept": progress.kept}
+        result |= {"calibration": manifest.get("calibration")}
+        common.write_json(folder / store.SUMMARY, result)
+        shown = worst(job, rows, self.worst)
+        write_text(folder / store.REPORT, page.campaign(job.config, folder, rows, result, shown))
+        return result
+
+    def _request(self, name: str, share: float | None) -> dict[str, Any]:
+        """The options that rows depend on, as the manifest keeps them."""
+        robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
+        request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
+        request |= {} if self.duration is None else {"duration": self.duration}
+        request |= {} if share is None else {"false_alarms": share}
+        if self.gains is not None:
+            from jaxftc.monte_carlo.store import fingerprint
+
+            request["gains"] = fingerprint(self.gains.read_text(encoding="utf-8"))
+        return request

@@ -1,0 +1,41 @@
+"""The last command, until the next measurement shows what came of it. Shared by every scheme."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxftc import smooth
+from jaxftc.arm import chain
+from jaxftc.arm.robot import Robot
+from jaxftc.types import Array
+
+
+class Pending(NamedTuple):
+    """A command and the acceleration that the nominal arm should have made of it."""
+
+    tau: Array  # [n, ...] N m, before the limits
+    qdd: Array  # [n, ...] rad/s^2, acceleration that tau was computed for
+    mass: Array  # [n, n, ...] kg m^2, nominal inertia
+
+
+def commanded(robot: Robot, pending: Pending, tau: Array) -> tuple[Array, Array]:
+    """Torque [n, ...] N m that was really commanded in the last tick, and the acceleration [n, ...] rad/s^2 it stands for.
+
+    The command was computed for ``pending.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
+    A torque that is not finite counts as the command itself, within the limits.
+    """
+    limit = chain.trailing_constant(robot.torque_limit, pending.tau)
+    tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(pending.tau, limit))
+    return tau, pending.qdd + jnp.stack(chain.solve(rows(pending.mass), chain.lanes(tau - pending.tau)))
+
+
+def rows(mass: Array) -> list[list[chain.Lane]]:
+    """An array [n, n, ...] as n x n lanes."""
+    return [chain.lanes(row) for row in chain.lanes(mass)]
+
+
+def pack(mass: list[list[chain.Lane]], like: Array) -> Array:
+    """N x n lanes as one array [n, n, ...]."""
+    return jnp.stack([chain.stack(row, like) for row in mass])

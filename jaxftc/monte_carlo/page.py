@@ -1,0 +1,180 @@
+"""The report of a campaign: confusion, delays, threshold trade-off, and the worst scenarios with their traces."""
+
+from __future__ import annotations
+
+import html
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from jaxftc import metrics, report
+from jaxftc.closed_loop import Trace
+from jaxftc.config import Config
+from jaxftc.monte_carlo import versus
+from jaxftc.monte_carlo.summary import FAULTY, Table, by_kind
+from jaxftc.types import VERDICTS
+
+
+def campaign(
+    config: Config, folder: Path, rows: Table, result: dict[str, Any], worst: list[tuple[dict[str, Any], Trace]]
+) -> str:
+    """One scheme's page."""
+    sections = [
+        _table([versus.HEAD, versus.UNITS, *versus.cells({result["scheme"]: result})]),
+        f"<p>{_calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
+        "<h2>What was true, what was said</h2>",
+        report.embed(confusion(result)),
+        "<h2>By kind of fault</h2>",
+        _table(_kinds(result)),
+        "<h2>Detection delay</h2>",
+        report.embed(delays(rows)),
+        "<h2>Thresholds: false alarms against detection and delay</h2>",
+        "<p>All thresholds times a scale, read off the statistics of the same runs; the second look and the fuzzy stage "
+        "keep the thresholds that they ran with.</p>",
+        report.embed(trade_off({result["scheme"]: result})),
+    ]
+    for row, trace in worst:
+        title = f"Scenario {row['scenario_id']}: {row['kind']} {row['fault_tau']} {row['fault_q']}".strip()
+        command = f"jaxftc simulate --from {folder} --id {row['scenario_id']}"
+        sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
+        columns = metrics.columns(trace)
+        sections += [report.embed(report.residual_figure(config, columns, title, _shown(row)))]
+    return report.page(f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios", sections)
+
+
+def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) -> str:
+    """All schemes of a comparison on one page."""
+    text = versus.pairs_as_text(pairs)
+    sections = [
+        _table([versus.HEAD, versus.UNITS, *versus.cells(found)]) + f"<p>{versus.NOTE}; * best of the column.</p>",
+        *(f"<p>{html.escape(name)}: {_calibrated(result)}</p>" for name, result in found.items()),
+        "<h2>Thresholds: false alarms against detection and delay</h2>",
+        report.embed(trade_off(found)),
+        f"<h2>Paired by scenario</h2><pre style='white-space:pre-wrap'>{html.escape(text.strip())}</pre>",
+        "<h2>What was true, what was said</h2>",
+        *(f"<h3>{html.escape(name)}</h3>" + report.embed(confusion(result)) for name, result in found.items()),
+        "<h2>By kind of fault</h2>",
+        *(f"<h3>{html.escape(name)}</h3>" + _table(_kinds(result)) for name, result in found.items()),
+    ]
+    return report.page(f"jaxftc campaign: {', '.join(found)}", sections)
+
+
+def confusion(result: dict[str, Any]) -> go.Figure:
+    """Counts and shares by true kind."""
+    counts = np.asarray(result["confusion"])
+    shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
+    text = [[f"{c}<br>{100 * s:.1f} %" for c, s in zip(*pair, strict=True)] for pair in zip(counts, shares, strict=True)]
+    figure = go.Figure(
+        go.Heatmap(z=shares, x=VERDICTS, y=VERDICTS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
+    )
+    figure.update_yaxes(autorange="reversed", title_text="true kind")
+    figure = report.finish(figure, "Verdict 60 ms after the alarm", "counts, and shares of the row; normal: no alarm")
+    return figure.update_xaxes(title_text="said").update_layout(height=440)
+
+
+def delays(rows: Table) -> go.Figure:
+    """Share of the faults found within a time, by kind."""
+    figure = go.Figure()
+    for k, (name, part) in enumerate(by_kind(rows).items()):
+        delay = np.sort(part["delay_s"])
+        found = delay[np.isfinite(delay)] * 1e3
+        step = max(1, len(found) // 400)  # no eye sees more
+        points, level = found[::step], (np.arange(len(found)) + 1)[::step] / max(len(delay), 1)
+        dash = ("solid", "dash", "dot")[k // len(report.COLOURS) % 3]
+        figure.add_scatter(
+            x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
+            line={"shape": "hv", "color": report.COLOURS[k % len(report.COLOURS)], "dash": dash},
+        )  # fmt: skip
+    figure.update_yaxes(title_text="% of the faults found", range=[0, 101])
+    figure = report.finish(
+        figure, "Found within", "delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses"
+    )
+    return figure.update_xaxes(title_text="delay, ms", type="log")
+
+
+def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
+    """Detection and delay of each kind against the share of healthy runs with an alarm, over the threshold scale."""
+    figure = make_subplots(2, len(FAULTY), shared_xaxes=True, subplot_titles=[f"{kind} faults" for kind in FAULTY])
+    for k, (scheme, result) in enumerate(found.items()):
+        curve = result["roc"]
+        least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
+        alarms = [None if x is None else max(100 * x, least) for x in curve["false_alarm_runs"]]
+        look: dict[str, Any] = {
+            "legendgroup": scheme, "mode": "lines+markers", "line_color": report.COLOURS[k % len(report.COLOURS)],
+            "customdata": curve["scale"], "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
+        }  # fmt: skip
+        for c, kind in enumerate(FAULTY, start=1):
+            share = [None if x is None else 100 * x for x in curve["detection"][kind]]
+            late = [None if x is None else 1e3 * x for x in curve["delay_median_s"][kind]]
+            figure.add_scatter(x=alarms, y=share, name=scheme, showlegend=c == 1, **look, row=1, col=c)
+            figure.add_scatter(x=alarms, y=late, showlegend=False, **look, row=2, col=c)
+    figure.update_yaxes(title_text="% found", row=1, col=1)
+    figure.update_yaxes(title_text="median delay, ms", row=2, col=1)
+    figure = report.finish(
+        figure, "Each point is a scale of all thresholds", "a scale of 1 is what ran; no alarm at all is drawn as half a run"
+    )
+    figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
+    return figure.update_xaxes(type="log").update_layout(height=680, margin_t=110)
+
+
+def _kinds(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    head = ("fault", "n", "detected", "kind right", "joint right", "delay", "delay 95 %", "isolated", "torque est.",
+            "angle est.", "tracking")  # fmt: skip
+    units = ("", "", "%", "% of det.", "% of det.", "median ms", "ms", "median ms", "rms N m", "rms deg", "rms deg")
+    lines = [head, units]
+    for name, part in result["by_kind"].items():
+        bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
+        shares = (_show(part[k], 100, 1) for k in ("detection", "isolation_kind", "isolation_joint"))
+        errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
+        delay, isolated = (_show(part[k], 1e3, 0, "missed") for k in ("delay_median_s", "isolated_median_s"))
+        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, isolated, *errors))
+    return lines
+
+
+def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
+    return absent if x is None else f"{factor * x:.{places}f}"
+
+
+def _table(lines: list[tuple[str, ...]]) -> str:
+    head, units, *body = lines
+    titles = "".join(f"<th>{html.escape(t)}<br>{html.escape(u)}</th>" for t, u in zip(head, units, strict=True))
+    rows = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in body)
+    return f"<table><tr>{titles}</tr>{rows}</table>"
+
+
+def _calibrated(result: dict[str, Any]) -> str:
+    found = result.get("calibration")
+    if not found:
+        return "Thresholds as given."
+    low, high = found["false_alarm_runs_95"]
+    return (
+        f"Thresholds set for {100 * found['wanted']:g} % of healthy runs with an alarm: "
+        f"{100 * found['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] of {found['fresh_runs']} fresh ones."
+    )
+
+
+def _shown(row: dict[str, Any]) -> int:
+    """The joint that a trace shows first."""
+    return max(row["joint_tau"] or row["joint_q"] or row["joint_hat"], 1) - 1
+
+
+def _fate(row: dict[str, Any]) -> str:
+    """What became of a scenario, in words."""
+    if row["diverged"]:
+        return "The run diverged"
+    if math.isnan(row["delay_s"]):
+        said = (
+            "no alarm" if not row["false_alarm"] else f"false alarm at {row['false_alarm_s']:.3f} s, said {row['kind_hat']}"
+        )
+        return f"No fault; {said}"
+    where = ", ".join(f"{c} of joint {row[j]}" for c, j in (("actuator", "joint_tau"), ("encoder", "joint_q")) if row[j])
+    size = "" if math.isnan(row["magnitude"]) else f", {row['magnitude']:.3g} {row['unit']}".rstrip(" 1")
+    text = f"Fault of the {where}{size}, from {row['onset_s']:.3f} s: "
+    if math.isinf(row["delay_s"]):
+        return text + "missed"
+    blamed = f"joint {row['joint_hat']} first" if row["joint_hat"] else "no joint"
+    return text + f"alarm after {1e3 * row['delay_s']:.0f} ms, 60 ms later said {row['kind_hat']}, {blamed}"

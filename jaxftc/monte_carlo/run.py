@@ -1,0 +1,128 @@
+"""Scenarios through the closed loop, scored while they run.
+
+One compiled program of a fixed number of scenarios does all the work, whatever is asked for, several at a time on a machine
+with several cores: how a campaign is cut, its order and the number of cores change no bit of a row. (Two programs that
+differ in width, or in how they are spread over devices, round differently.) The program also keeps the trace of its first
+scenario, which costs nothing, so that a replay is the same program again.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.closed_loop import Trace, check, watch
+from jaxftc.compile import jit
+from jaxftc.config import Config
+from jaxftc.faults.preset import Preset
+from jaxftc.faults.sample import draw_all
+from jaxftc.faults.scenario import Scenario, take, trail
+from jaxftc.gains import Gains
+from jaxftc.monte_carlo import score, table
+from jaxftc.types import Array
+
+LANES = {"cpu": 128}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
+MANY_LANES = 16384  # on a device with thousands of cores
+
+
+def campaign(
+    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+) -> dict[str, np.ndarray]:
+    """Run scenarios with a leading axis; a dict of columns, one row a scenario (``docs/campaigns.md`` lists them).
+
+    The noise of a scenario depends on ``key`` and its id alone. ``done`` is told how many more are through.
+
+    Raises:
+        ValueError: gains or scenarios are of a wrong shape, not finite or outside their limits.
+    """
+    return table.columns(config, scenarios, scores(config, gains, scenarios, key, done))
+
+
+def scores(
+    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+) -> score.Score:
+    """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
+    check(config, gains, trail(scenarios))
+    count, width, program = len(scenarios.id), _width(), _program(config)
+
+    def block(first: int) -> score.Score:
+        piece = take(scenarios, np.arange(first, first + width) % count)
+        return jax.tree.map(np.asarray, program(key, gains, piece)[0])
+
+    pieces, starts = [], range(0, count, width)
+    pool = ThreadPoolExecutor(_cores())
+    try:
+        for first, piece in zip(starts, pool.map(block, starts), strict=True):
+            pieces.append(piece)
+            done(min(width, count - first))
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :count], *pieces)
+
+
+def draw(preset: Preset, config: Config, key: Array, ids: np.ndarray) -> Scenario:
+    """Scenarios of any ids, leading axis, as NumPy arrays; each depends on the key and its id alone, to the last bit."""
+    width, pieces = _width(), []
+    for first in range(0, len(ids), width):
+        some = ids[np.arange(first, first + width) % len(ids)]
+        pieces.append(jax.tree.map(np.asarray, draw_all(preset, config, key, jnp.asarray(some))))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(ids)], *pieces)
+
+
+def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tuple[dict[str, np.ndarray], Trace]:
+    """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
+    copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], _width(), axis=0), scenario)
+    check(config, gains, trail(copies))
+    result, trace = _program(config)(key, gains, copies)
+    row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
+    return row, trace
+
+
+class _Program:
+    """(key, gains, scenarios with a leading axis) to (scores, trace of the first); the first call compiles, others wait."""
+
+    def __init__(self, config: Config) -> None:
+        def block(key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
+            true = score.truth(scenarios)
+
+            def look(state: score.State, tick: Trace) -> tuple[score.State, Trace]:
+                first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)
+                return score.step(config, true, state, tick), first
+
+            blank = score.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
+            last, trace = watch(config, gains, scenarios, key, blank, look)
+            return last.score, trace
+
+        self._run, self._lock, self._compiled = jit(block), threading.Lock(), False
+
+    def __call__(self, key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
+        if self._compiled:
+            return self._run(key, gains, trail(scenarios))
+        with self._lock:
+            result = self._run(key, gains, trail(scenarios))
+            self._compiled = True
+            return result
+
+
+@functools.lru_cache(maxsize=16)
+def _program(config: Config) -> Any:
+    return _Program(config)
+
+
+def _width() -> int:
+    return LANES.get(jax.default_backend(), MANY_LANES)
+
+
+def _cores() -> int:
+    """Programs that run at a time: one a core on the CPU, two elsewhere so that the device never waits."""
+    if jax.default_backend() != "cpu":
+        return 2
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,210 @@
+"""Thresholds for a share of healthy runs with an alarm."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc import logs
+from jaxftc.files import write_parquet
+from jaxftc.monte_carlo import calibrate as module
+from jaxftc.monte_carlo import run
+from jaxftc.monte_carlo.calibrate import (
+    LEAST_Q,
+    Peaks,
+    allowed,
+    calibrate,
+    calibrate_on_logs,
+    thresholds,
+    with_thresholds,
+    without_faults,
+)
+
+
+@pytest.fixture(scope="module")
+def config(puma):
+    return jaxftc.Config(puma, engine="chain", duration=0.4)
+
+
+@pytest.fixture(scope="module")
+def scenarios(config):
+    return jaxftc.sample_scenarios(jax.random.key(60), 480, config=config)
+
+
+@pytest.fixture(scope="module")
+def found(config, scenarios):
+    with jax.enable_x64(False):
+        return calibrate(config, jaxftc.default_gains(config), scenarios, jax.random.key(61), false_alarms=0.05)
+
+
+def test_fresh_runs_alarm_as_often_as_wanted(found):
+    assert found.met and found.settled
+    assert found.runs == found.fresh == 240
+    assert found.reached.value <= 0.1 and found.reached.low <= 0.05
+
+
+def test_thresholds_are_no_larger_than_they_need_be(config, scenarios, found):
+    """A tenth lower, and more runs alarm than are allowed: it is the threshold of this rate, not merely a large one."""
+    learn = without_faults(jax.tree.map(lambda x: np.asarray(x)[:240], scenarios))
+    lower = with_thresholds(found.gains, 0.9 * found.gains.diagnosis.alpha_tau, found.gains.diagnosis.alpha_q)
+    with jax.enable_x64(False):
+        alarms = [(run.scores(config, g, learn, jax.random.key(61)).false_ticks > 0).sum() for g in (found.gains, lower)]
+    assert alarms[0] <= 2 * allowed(240, 0.05, 0.95) + 1 < alarms[1]
+
+
+def peaks(runs=2000, seed=0):
+    """Peaks of independent joints with very different scales, and a quiet encoder channel."""
+    scale = np.array([4.0, 3.0, 1.0, 0.2, 0.1, 0.05])[:, None]
+    torque = scale * np.random.default_rng(seed).gamma(20, 0.05, (6, runs))
+    return Peaks(torque, np.full((6, runs), 1e-6), np.zeros(runs, bool))
+
+
+def test_the_share_holds_for_runs_as_a_whole_with_its_confidence(puma):
+    config = jaxftc.Config(puma)
+    exceed = []
+    for seed in range(200):
+        alpha_tau, alpha_q = thresholds(config, peaks(seed=seed), 0.02, 0.9)
+        fresh = peaks(20000, seed=1000 + seed)
+        exceed.append(((fresh.tau >= alpha_tau[:, None]).any(0) | (fresh.q >= alpha_q[:, None]).any(0)).mean())
+    assert (np.array(exceed) <= 0.02).mean() >= 0.82, "with 90 % confidence; quantiles by joint come from the same runs"
+    assert np.mean(exceed) > 0.01, "and not by being far too careful"
+
+
+def test_every_joint_shares_the_alarms(puma):
+    alpha_tau, alpha_q = thresholds(jaxftc.Config(puma), peaks(), 0.02, 0.95)
+    rates = (peaks(50000, seed=9).tau >= alpha_tau[:, None]).mean(1)
+    assert rates.max() < 4 * rates.min() + 1e-3
+    np.testing.assert_allclose(alpha_q, LEAST_Q)
+
+
+def test_too_few_runs_are_refused_with_the_number_that_would_do():
+    assert allowed(299, 0.01, 0.95) == 0
+    with pytest.raises(
+        ValueError, match=r"298 healthy runs are too few to hold 1 % false alarms with 95 % .* at least 299 are"
+    ):
+        allowed(298, 0.01, 0.95)
+    with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\), got 0"):
+        allowed(100, 0, 0.95)
+
+
+def test_alarms_that_no_threshold_prevents_are_told(puma):
+    noisy = peaks()._replace(spoke=np.arange(2000) < 100)
+    with pytest.raises(
+        ValueError, match=r"100 of 2000 healthy runs raise an alarm that no threshold prevents .*observer.jump"
+    ):
+        thresholds(jaxftc.Config(puma), noisy, 0.02, 0.95)
+    thresholds(jaxftc.Config(puma), peaks()._replace(spoke=np.arange(2000) < 5), 0.02, 0.95)
+
+
+def test_faults_are_left_out(scenarios):
+    healthy = without_faults(scenarios)
+    assert not healthy.fault_tau.kind.any() and not healthy.fault_q.kind.any()
+    np.testing.assert_array_equal(healthy.q_goal, scenarios.q_goal)
+
+
+def test_it_goes_on_until_the_thresholds_stay(config, scenarios, monkeypatch):
+    """The fuzzy stage reads the thresholds, so that new ones change the statistics."""
+    monkeypatch.setattr(module, "ROUNDS", 1)
+    with jax.enable_x64(False):
+        once = calibrate(config, jaxftc.default_gains(config), scenarios, jax.random.key(61), false_alarms=0.05)
+    assert not once.settled and once.rounds == 1
+    assert (
+        dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(config).diagnosis).keys()
+    )
+
+
+# On recorded logs.
+
+
+@pytest.fixture(scope="module")
+def logged(puma, tmp_path_factory):
+    """Simulated healthy runs as a user would have them: one long log of 1 s at 1 kHz a file."""
+    config = jaxftc.Config(puma, engine="chain", duration=0.1)
+    long = dataclasses.replace(config, duration=1.0)
+    scenarios = without_faults(jaxftc.sample_scenarios(jax.random.key(62), 8, config=long))
+    trace = jaxftc.simulate(long, jaxftc.default_gains(long), jaxftc.trail(scenarios), jax.random.key(63))
+    folder = tmp_path_factory.mktemp("logs")
+    paths = []
+    for k in range(8):
+        columns = {"t": np.asarray(trace.t)}
+        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j, k]) for j in range(6)}
+        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[:, j, k]) for j in range(6)}
+        paths.append(folder / f"log{k}.parquet")
+        write_parquet(paths[-1], columns)
+    return config, trace, paths
+
+
+def test_a_log_is_diagnosed_as_the_arm_was(logged):
+    """The motion made takes the place of the motion wanted; statistics differ by what the friction model makes of that."""
+    config, trace, paths = logged
+    gains = jaxftc.default_gains(config)
+    out = logs.diagnose(config, gains, logs.read(paths[0], config))
+    mine, theirs = np.asarray(out.statistic_tau), np.asarray(trace.out.statistic_tau[..., 0])
+    scale = np.abs(theirs).max(0)
+    assert (np.abs(mine - theirs).max(0) < 0.5 * scale + 0.1).all()
+    assert (np.abs(mine - theirs).mean(0) < 0.1 * scale + 0.02).all()
+
+
+def test_thresholds_from_logs(logged):
+    config, trace, paths = logged
+    found = calibrate_on_logs(
+        config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths], false_alarms=0.2, confidence=0.9
+    )
+    assert found.runs == found.fresh == 40 and found.met
+    highest = np.abs(np.asarray(trace.out.statistic_tau)).max((0, 2))
+    assert (found.gains.diagnosis.alpha_tau < 2 * highest).all() and (found.gains.diagnosis.alpha_tau > 0.2 * highest).all()
+    with pytest.raises(ValueError, match="40 healthy runs are too few to hold 1 % false alarms"):
+        calibrate_on_logs(config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths])
+
+
+def test_a_log_of_another_rate_is_brought_to_the_sample_time(logged, tmp_path):
+    config, _, paths = logged
+    whole = logs.read(paths[0], config)
+    t = np.arange(0, 1, 0.002)
+    rows = {"t": t} | {f"q{j + 1}": whole.q[::2, j] for j in range(6)} | {f"tau{j + 1}": whole.tau[::2, j] for j in range(6)}
+    write_parquet(tmp_path / "half.parquet", rows)
+    half = logs.read(tmp_path / "half.parquet", config)
+    assert len(half.q) == 999
+    np.testing.assert_allclose(half.q[::2], whole.q[::2])
+    np.testing.assert_allclose(half.q, whole.q[:999], atol=2e-4)
+    np.testing.assert_array_equal(half.tau[1::2], half.tau[:-1:2])
+
+
+def broken(path, **change):
+    columns = {"t": 1e-3 * np.arange(200.0)} | {f"q{j}": np.zeros(200) for j in range(1, 7)}
+    columns |= {f"tau{j}": np.zeros(200) for j in range(1, 7)} | change
+    write_parquet(path, {k: v for k, v in columns.items() if v is not None})
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"t": None}, "column 't' is missing"),
+        ({"q6": None}, "must have columns q1 to q6 in rad"),
+        ({"tau2": None}, "must have columns tau1 to tau6 in N m"),
+        ({"t": np.r_[np.arange(100), np.arange(99, 199)] * 1e-3}, "it does not at row 101"),
+        ({"t": np.r_[np.arange(100), np.arange(200, 300)] * 1e-3}, "0.101 s without a row after t = 0.099 s"),
+        ({"q3": np.r_[np.zeros(50), np.nan, np.zeros(149)]}, "log.q holds 1 values that are not finite"),
+        ({"q1": np.arange(200.0)}, "must start with the arm at rest"),
+        ({"q1": np.array(["a"] * 200)}, "columns q1 to q6 must hold numbers in rad"),
+    ],
+)
+def test_what_is_wrong_with_a_log_is_told(config, tmp_path, change, words):
+    path = broken(tmp_path / "log.parquet", **change)
+    with pytest.raises(ValueError, match=words) as refusal:
+        logs.read(path, config)
+    assert str(path) in str(refusal.value)
+
+
+def test_files_that_are_no_logs_are_refused(config, tmp_path):
+    (tmp_path / "a.csv").write_bytes(b"\x00\x01")
+    for path, words in (
+        (tmp_path / "a.csv", "a.csv"),
+        (tmp_path / "none.csv", "cannot read"),
+        (tmp_path / "a.bag", ".csv or .parquet"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            logs.read(path, config)

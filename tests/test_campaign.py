@@ -1,0 +1,286 @@
+"""A campaign's folder and command: rows that survive, and that depend on nothing but their scenario."""
+
+import json
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+
+import duckdb
+import jax
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc.faults.preset_file import load_preset
+from jaxftc.files import write_parquet
+from jaxftc.monte_carlo import job as jobs
+from jaxftc.monte_carlo import store, summary, versus
+
+SHORT = ["--duration", "0.4", "--seed", "5"]
+PROGRAM = "from jaxftc.cli.main import main; main()"
+
+
+@pytest.fixture(scope="module")
+def run(request):
+    """Run the command in a fresh process; compiled programs stay in pytest's cache folder."""
+    home = str(request.config.cache.mkdir("commands"))
+
+    def call(*arguments, code=0, **more):
+        command = [sys.executable, "-c", more.pop("program", PROGRAM), *map(str, arguments)]
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": home}, check=False, **more
+        )
+        assert done.returncode == code, done.stderr
+        return done
+
+    call.home = home
+    return call
+
+
+@pytest.fixture(scope="module")
+def folder(run, tmp_path_factory):
+    """A campaign of 300 scenarios of 0.4 s."""
+    out = tmp_path_factory.mktemp("campaign") / "run"
+    done = run("campaign", "-n", 300, "--out", out, "--worst", 1, "--json", *SHORT)
+    return out, json.loads(done.stdout)
+
+
+def rows_of(folder, n=300):
+    return store.read_rows(folder, n)
+
+
+def assert_same_rows(one, other):
+    assert one.keys() == other.keys()
+    for name in one:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_json_is_the_summary_with_every_promised_key(folder):
+    out, printed = folder
+    assert printed == json.loads((out / "summary.json").read_text())
+    promised = {"n", "scheme", "false_alarm_runs", "detection", "isolation_kind", "isolation_joint", "delay_median_s"}
+    assert promised | {"by_kind", "confusion", "scenario_steps_per_s"} <= printed.keys()
+    assert printed["n"] == 300 and printed["scheme"] == "cascade" and np.sum(printed["confusion"]) == 300
+    assert set(printed["delay_median_s"]) == {"actuator", "sensor", "both"}
+
+
+def test_parquet_has_every_promised_column_and_one_row_a_scenario(folder):
+    out, _ = folder
+    promised = """scenario_id, kind, joint_tau, joint_q, onset_s, clear_s, magnitude, unit, detected, delay_s, false_alarm,
+    kind_hat, joint_hat, fault_tau_rmse_nm, fault_q_rmse_deg, tracking_rmse_deg, chattering, effort"""
+    found = duckdb.sql(f"select {promised} from '{out}/chunk-*.parquet'").fetchnumpy()
+    np.testing.assert_array_equal(np.sort(found["scenario_id"]), np.arange(300))
+    assert set(found["kind"]) == {"normal", "actuator", "sensor", "both"}
+
+
+def test_nothing_but_whole_files_is_left(folder):
+    out, _ = folder
+    names = {path.name for path in out.iterdir()}
+    assert names == {"manifest.toml", "gains.toml", "preset.toml", "chunk-000000.parquet", "summary.json", "report.html"}
+
+
+def test_the_summary_counts_what_the_rows_say(folder):
+    out, printed = folder
+    rows = rows_of(out)
+    faulty = rows["kind"] != "normal"
+    assert printed["detection"] == rows["detected"][faulty].mean()
+    assert printed["false_alarm_runs"] == rows["false_alarm"][~faulty].mean()
+    detected = faulty & rows["detected"]
+    assert printed["isolation_kind"] == (rows["kind"] == rows["kind_hat"])[detected].mean()
+    for kind in ("actuator", "sensor", "both"):
+        middle = np.median(rows["delay_s"][rows["kind"] == kind])
+        assert printed["delay_median_s"][kind] == (middle if np.isfinite(middle) else None)
+        for said in ("normal", "actuator", "sensor", "both"):
+            where = [["normal", "actuator", "sensor", "both"].index(name) for name in (kind, said)]
+            count = ((rows["kind"] == kind) & (rows["kind_hat"] == said)).sum()
+            assert printed["confusion"][where[0]][where[1]] == count
+    quiet = faulty & ~rows["false_alarm"]  # an alarm that is up from before the onset crosses nothing after it
+    np.testing.assert_array_equal(rows["delay_at_1.000_s"][quiet], rows["delay_s"][quiet])
+    at_one = printed["roc"]["scale"].index(1.0)
+    crossed = np.isfinite(rows["delay_at_1.000_s"])[rows["kind"] == "actuator"]
+    assert printed["roc"]["detection"]["actuator"][at_one] == crossed.mean()
+    share = [x for x in printed["roc"]["false_alarm_runs"] if x is not None]
+    assert share == sorted(share, reverse=True), "higher thresholds, fewer alarms"
+    assert sum(part["n_faults"] for part in printed["by_kind"].values()) == faulty.sum()
+
+
+def test_a_replay_reproduces_the_row_to_the_last_bit(folder, run, tmp_path):
+    out, _ = folder
+    done = run("simulate", "--from", out, "--id", 123, "--out", tmp_path, "--json")
+    result = json.loads(done.stdout)
+    assert result["same_as_stored"] is True and result["row"]["scenario_id"] == 123
+    assert len(result["joints"]) == 6 and (tmp_path / "trace.parquet").exists()
+    run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--json")  # not run yet, but no less defined
+
+
+def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, monkeypatch):
+    """In small chunks, on another number of devices: a torn, a missing and a short file are run again, nothing else."""
+    out, _ = folder
+    whole = rows_of(out)
+    program = f"from jaxftc.monte_carlo import job; job.CHUNK = 100; {PROGRAM}"
+    command = ["campaign", "--out", tmp_path, "--worst", 0, *SHORT]
+    one_core = {"preexec_fn": lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})}
+    run(*command, "-n", 250, program=program, **(one_core if hasattr(os, "sched_setaffinity") else {}))
+    assert_same_rows(rows_of(tmp_path, 250), {name: column[:250] for name, column in whole.items()})
+    (tmp_path / "chunk-000000.parquet").unlink()
+    torn = tmp_path / "chunk-000001.parquet"
+    torn.write_bytes(torn.read_bytes()[:-100])
+    (tmp_path / "chunk-000001.parquet.tmp").write_bytes(b"half a file")
+    done = run(*command, "-n", 300, program=program)
+    assert "chunk-000001.parquet is torn; its rows are run again" in done.stdout
+    assert "chunk-000002.parquet is of another length; its rows are run again" in done.stdout
+    assert_same_rows(rows_of(tmp_path), whole)
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (["--seed", "6"], "--seed 5, asked for 6"),
+        (["--scheme", "momentum"], "--scheme 'cascade', asked for 'momentum'"),
+        (["--preset", "hard"], "--preset "),
+        (["--no-coulomb"], "--coulomb True, asked for False"),
+        (["--false-alarms", "0.02"], "--false-alarms 'unset', asked for 0.02"),
+    ],
+)
+def test_another_campaign_in_the_same_folder_is_refused(folder, run, change, words):
+    out, _ = folder
+    before = {path: path.read_bytes() for path in out.iterdir()}
+    done = run("campaign", "-n", 300, "--out", out, *SHORT, *change, code=2)
+    assert words in done.stderr and "another --out" in done.stderr and len(done.stderr.strip().splitlines()) == 1
+    assert before == {path: path.read_bytes() for path in out.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-n", "0"], "-n must be an integer of at least 1, got 0"),
+        (["--preset", "standart"], "did you mean 'standard'?"),
+        (["--compare", "cascade,ekv"], "did you mean 'ekf'?"),
+        (["--compare", "cascade"], "--compare takes two or more different schemes"),
+        (["--false-alarms", "2"], "false_alarms must lie in (0, 1), got 2.0"),
+        (["--gains", "nothing.toml"], "cannot read gains from nothing.toml"),
+        (["--out", "/proc/nothing"], "cannot write results"),
+        (["--seed", "-1"], "--seed must lie in 0"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(run, tmp_path, arguments, words):
+    done = run("campaign", *arguments, *(() if "--out" in arguments else ("--out", tmp_path)), code=2)
+    assert words in done.stderr and len(done.stderr.strip().splitlines()) == 1
+
+
+def test_a_folder_without_a_campaign_is_refused(run, tmp_path):
+    done = run("simulate", "--from", tmp_path, "--id", 1, code=2)
+    assert "holds no campaign" in done.stderr
+    assert "go together" in run("simulate", "--id", 1, code=2).stderr
+
+
+def test_a_full_disk_is_told_and_leaves_whole_files(tmp_path):
+    """Limited file size stands in for a full disk: the write fails half way."""
+    program = f"""
+import pathlib, resource, signal, numpy as np
+from jaxftc.files import write_parquet
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+folder = pathlib.Path({str(tmp_path)!r})
+write_parquet(folder / "chunk-000000.parquet", {{"x": np.zeros(10)}})
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+try:
+    write_parquet(folder / "chunk-000001.parquet", {{"x": np.random.default_rng(0).random(100000)}})
+except OSError as error:
+    print(error)
+"""
+    assert resource.RLIMIT_FSIZE and signal.SIGXFSZ
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"cannot write {tmp_path}/chunk-000001.parquet")
+    assert [path.name for path in tmp_path.iterdir()] == ["chunk-000000.parquet"]
+
+
+def test_what_keeps_a_chunk_from_being_used(tmp_path):
+    chunk = store.Chunk(tmp_path / "chunk-000002.parquet", 20, 10)
+    assert store.fault_of(chunk) == "absent"
+    for ids, fault in (
+        (np.arange(20, 30), None),
+        (np.arange(20, 29), "of another length"),
+        (np.arange(21, 31), "of another length"),
+        (np.r_[20, 20, 22:30], "of another length"),
+    ):
+        write_parquet(chunk.path, {"scenario_id": ids})
+        assert store.fault_of(chunk) == fault
+    chunk.path.write_bytes(b"PAR1" + b"x" * 100)
+    assert store.fault_of(chunk) == "torn"
+
+
+def test_the_manifest_says_what_the_rows_depend_on(folder):
+    out, _ = folder
+    manifest = tomllib.loads((out / "manifest.toml").read_text())
+    assert manifest["request"]["seed"] == 5 and manifest["request"]["scheme"] == "cascade"
+    assert manifest["config"]["dt"] == 1e-3 and manifest["config"]["duration"] == 0.4
+    assert manifest["made_with"].keys() == {"jaxftc", "jax", "mujoco"}
+    assert load_preset(out / "preset.toml") == load_preset("standard")
+
+
+def test_scenarios_of_a_campaign_are_its_own(puma):
+    """The same number as a seed for tuning and for calibration draws other scenarios there."""
+    config = jaxftc.Config(puma, engine="chain")
+    job = jobs.Job(config, jaxftc.default_gains(config), load_preset("standard"), 0)
+    keys = [*job.keys, *jax.random.split(jax.random.key(0), 3)]
+    assert len({tuple(np.asarray(jax.random.key_data(k)).tolist()) for k in keys}) == len(keys)
+
+
+def test_schemes_are_compared_scenario_by_scenario():
+    """Hand-made rows: a scheme that is late by a factor, and as often early as late."""
+    kind = np.array(["actuator"] * 40 + ["normal"] * 5)
+    delay = np.where(kind == "normal", np.nan, 0.010)
+    base = {name: np.full(45, 1.0) for name in versus.ERRORS} | {"kind": kind, "delay_s": delay}
+    slow = base | {"delay_s": delay * 2, "tracking_rmse_deg": np.full(45, 0.5)}
+    blind = base | {"delay_s": np.where(kind == "normal", np.nan, np.inf)}
+    (pair, other) = versus.against({"ours": base, "slow": slow, "blind": blind})
+    assert (pair["earlier"], pair["later"], pair["same"], pair["delay"]) == (40, 0, 0, "wins")
+    assert pair["tracking_rmse_deg"]["value"] == 2.0 and pair["tracking_rmse_deg"]["word"] == "loses"
+    assert pair["chattering"]["word"] == "ties" and other["delay"] == "wins"
+    text = versus.pairs_as_text([pair])
+    assert "wins delay; loses tracking; ties" in text
+
+
+def test_the_best_of_each_column_carries_a_star():
+    def result(detection, delay):
+        errors = dict.fromkeys(versus.ERRORS, 1.0)
+        shares = dict.fromkeys(("false_alarm_runs", "isolation_kind", "isolation_joint"), 0.5)
+        return shares | {"detection": detection, "delay_median_s": dict.fromkeys(summary.FAULTY, delay), "errors": errors}
+
+    one, other = versus.cells({"one": result(0.9, 0.010), "other": result(0.8, None)})
+    assert one[2] == "90.00*" and other[2] == "80.00" and one[5] == "10*" and other[5] == "missed"
+    assert "*" not in one[1], "a calibrated share of false alarms is no merit"
+
+
+@pytest.mark.slow
+def test_a_campaign_killed_twenty_times_loses_nothing(folder, run, tmp_path):
+    """Kill -9 at random moments, the same command again each time: the rows are those of a campaign left alone."""
+    out, _ = folder
+    program = f"from jaxftc.monte_carlo import job; job.CHUNK = 20; {PROGRAM}"
+    command = [sys.executable, "-c", program, "campaign", "-n", "300", "--out", str(tmp_path), "--worst", "0", *SHORT]
+    environment = os.environ | {"XDG_CACHE_HOME": run.home}
+    chance, killed = random.Random(1), 0
+    subprocess.run(
+        [*command[:4], "-n", "1", "--out", str(tmp_path / "warm"), *SHORT], env=environment, check=True, capture_output=True
+    )
+    while killed < 20:
+        process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + chance.uniform(0.5, 6.0)
+        while process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.01)
+        if process.poll() is None:
+            process.kill()
+            killed += 1
+        process.wait()
+        if process.returncode == 0:  # it came to its end: start over, with the files it has but for a few
+            for path in chance.sample(sorted(tmp_path.glob("chunk-*.parquet")), 10):
+                path.unlink()
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    assert_same_rows(rows_of(tmp_path), rows_of(out))
+    assert len(rows_of(tmp_path)["scenario_id"]) == 300

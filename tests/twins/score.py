@@ -1,0 +1,98 @@
+"""Scores of a campaign from a stored trace, written down tick by tick as one would explain them."""
+
+import numpy as np
+from scipy import signal
+
+from jaxftc.monte_carlo.score import LEVELS
+
+
+def truth(scenario):
+    """(wanted verdict [n], onset, clear) of one scenario; onset 0 and clear inf if nothing is wrong."""
+    tau, q = scenario.fault_tau, scenario.fault_q
+    faults = [(f.onset[j], f.clear[j]) for f in (tau, q) for j in range(len(f.kind)) if f.kind[j] > 0]
+    wanted = (np.asarray(tau.kind) > 0) + 2 * (np.asarray(q.kind) > 0)
+    if not faults:
+        return wanted, 0.0, np.inf
+    return wanted, float(min(onset for onset, _ in faults)), float(max(clear for _, clear in faults))
+
+
+def score(config, scenario, trace):
+    """Every field of Score for one run; ``trace`` is a column per signal, [T, n]."""
+    wanted, onset, clear = truth(scenario)
+    healthy = not wanted.any()
+    t, limit, dt = trace["t"], config.robot.torque_limit, config.dt
+    tau = trace["tau"] / limit
+    error = trace["q"] - trace["q_ref"]
+    alarm, verdict = trace["detected"], trace["verdict"]
+
+    high = signal.butter(2, 50.0, "highpass", fs=1 / dt)
+    rough = np.stack([signal.lfilter(*high, x, zi=signal.lfilter_zi(*high) * x[0])[0] for x in tau.T], axis=1)
+
+    false_ticks, false_events, false_at, alarm_at, last_alarm, began = 0, 0, np.inf, np.inf, -np.inf, np.inf
+    for k in range(len(t)):
+        before = healthy or t[k] < onset
+        excused = onset <= t[k] <= clear + 0.1
+        if t[k] >= onset:
+            began = min(began, t[k])
+        if alarm[k] and before:
+            false_ticks += 1
+            false_events += k == 0 or not alarm[k - 1]
+        if alarm[k] and (healthy or not excused):
+            false_at = min(false_at, t[k])
+        if alarm[k] and excused:
+            alarm_at = min(alarm_at, t[k])
+        if alarm[k] and t[k] > clear:
+            last_alarm = t[k]
+
+    isolated_at = np.inf
+    for k in range(len(t) - 19):
+        if t[k] >= onset and (verdict[k : k + 20] == wanted).all():
+            isolated_at = t[k]
+            break
+
+    if healthy:
+        said = np.bitwise_or.reduce(verdict, axis=0)
+    elif np.isfinite(alarm_at):
+        first = int(np.flatnonzero(t == alarm_at)[0])
+        said = verdict[min(first + 60, len(t) - 1)]
+    else:
+        said = np.zeros(len(wanted), int)
+
+    lasting = np.zeros_like(trace["statistic_tau"])
+    for k in range(config.alarm_ticks - 1, len(t)):
+        lasting[k] = np.abs(trace["statistic_tau"][k - config.alarm_ticks + 1 : k + 1]).min(0)
+    size_q = np.abs(trace["statistic_q"])
+    ratio, top = np.zeros(len(t)), 0.0
+    for k in range(len(t)):
+        ratio[k] = max((lasting[k] / trace["threshold_tau"][k]).max(), (size_q[k] / trace["threshold_q"][k]).max())
+        if max(top, ratio[k]) < 1 and trace["suspect"][k].any():
+            ratio[k] = np.inf
+        top = max(top, ratio[k])
+    early = np.ones(len(t), bool) if healthy else t < onset
+    window = (t >= onset) & (t <= clear + 0.1)
+    return {
+        "se_tau": ((trace["fault_tau_hat"] - trace["fault_tau"]) ** 2).sum(),
+        "se_q": ((trace["fault_q_hat"] - trace["fault_q"]) ** 2).sum(),
+        "ise": (error**2).sum(),
+        "iae": np.abs(error).sum(),
+        "itae": (t[:, None] * np.abs(error)).sum(),
+        "track_max": np.abs(error).max(),
+        "effort": (tau**2).sum(),
+        "travel": np.abs(np.diff(tau, axis=0)).sum(),
+        "rough": (rough**2).sum(),
+        "saturated": (np.abs(tau) >= 1 - 1e-6).sum(),
+        "peak": np.abs(tau).max(),
+        "false_ticks": false_ticks,
+        "false_events": false_events,
+        "false_at": false_at,
+        "began": began,
+        "alarm_at": alarm_at,
+        "isolated_at": isolated_at,
+        "last_alarm": last_alarm,
+        "verdict": said,
+        "crossed": np.array([min(t[window & (ratio >= level)], default=np.inf) for level in LEVELS]),
+        "healthy_tau": lasting[early].max(0, initial=0),
+        "healthy_q": size_q[early].max(0, initial=0),
+        "healthy_ratio": ratio[early].max(initial=0),
+        "lost": not np.isfinite(trace["q"]).all(),
+    }
