@@ -58,7 +58,7 @@ def judge(config, gains, state, s_tau, s_q, y, h_s, qd_hat):
     never, zero = jnp.zeros(y.shape, bool), jnp.zeros_like(y)
     jump = adaptive.Jump(h_s, jnp.sign(h_s), zero, zero)
     seen = cascade.Innovation(y, y, zero, jump, zero, zero, y, zero, zero, never, never)
-    return decide.step(config, gains, state, s_tau, s_q, seen, qd_hat)
+    return decide.step(config, gains, state, s_tau, s_q, s_tau, seen, qd_hat)
 
 
 def track(config, gains, state, q, *reference):

@@ -24,8 +24,8 @@ def blank(n):
     return Innovation(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no)
 
 
-def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0):
-    """Verdicts [T, n] for statistics [T, n] given as multiples of the threshold."""
+def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
+    """Verdicts [T, n] for statistics [T, n] in units of the threshold; the residual is the statistic if not given."""
     gains = jaxftc.default_gains(config)
     ticks, n = len(s_tau), config.n
     zero = np.zeros((ticks, n))
@@ -46,6 +46,7 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0):
             state,
             s_tau[k] * gains.diagnosis.alpha_tau,
             s_q[k] * gains.diagnosis.alpha_q,
+            (s_tau if r_tau is None else r_tau)[k] * gains.diagnosis.alpha_tau,
             now,
             jnp.full(n, float(speed)),
         )
@@ -105,6 +106,14 @@ def test_encoder_alarm_is_immediate_and_both_bits_make_both(two):
     assert verdict[5, 0] == jaxftc.types.SENSOR and (verdict[12:, 0] == jaxftc.types.BOTH).all()
 
 
+def test_a_statistic_ahead_of_its_residual_makes_no_kick(two):
+    """The lead overshoots where a torque sets in; what tells a kick is the residual without it."""
+    residual = pulse(200, 10, 200, size=2.0)
+    ahead = residual + pulse(200, 10, 20, size=8.0)
+    assert (judge(two, ahead, r_tau=residual)[12:, 0] == 1).all()
+    assert (judge(two, ahead)[45:, 0] == 2).all()
+
+
 def test_a_torque_that_vanishes_at_once_was_a_kick_of_the_encoder(two):
     verdict = judge(two, pulse(200, 10, 40, size=8.0))
     assert verdict[20, 0] == 1 and (verdict[45:, 0] == 2).all()
@@ -155,9 +164,8 @@ def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
     gains, state = jaxftc.default_gains(two), decide.init(jnp.zeros(2))
     for k in range(40):
         jump = Jump(jnp.abs(h[k]), jnp.sign(h[k]), jnp.zeros(2), jnp.zeros(2))
-        state, _ = _decide(
-            two, gains, state, jnp.zeros(2), jnp.zeros(2), blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump), jnp.ones(2)
-        )
+        seen = blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump)
+        state, _ = _decide(two, gains, state, *[jnp.zeros(2)] * 3, seen, jnp.ones(2))
     np.testing.assert_array_equal(state.doubt.noisy, [0, 1])
     np.testing.assert_array_equal(state.doubt.suspect, [1, 1])
 

@@ -147,7 +147,8 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     st.floats(0.01, 1),
 )
 def test_statistic_is_the_twin(r, z, w, leak):
-    gains = jaxftc.gains.DiagnosisGains(*(jnp.full(3, v) for v in (2.0, 0.1, w, 1.0, leak, 0.5)))
+    values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
+    gains = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
     state, (s_tau, s_q) = threshold.step(
         gains, threshold.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r)
     )

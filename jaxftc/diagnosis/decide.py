@@ -5,8 +5,8 @@ ends below 0.7 of it. Slow encoder faults do not jump far enough, so the torque 
 takes them for what they are:
 
 * **kick**: the onset of a drift changes the reading's speed, which looks like a torque until the observer has settled, and
-  then like nothing. A torque that is really there stays. A torque statistic that falls to a third of its peak (or below the
-  release level) within ``config.kick_ticks`` of the alarm was a kick;
+  then like nothing. A torque that is really there stays. A torque residual that falls to a third of its peak (or a
+  statistic below the release level) within ``config.kick_ticks`` of the alarm was a kick;
 * **freeze**: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all;
 * **noise** or a steep drift: many jumps in a tenth of a second, to and fro or one way.
 
@@ -47,7 +47,7 @@ class State(NamedTuple):
     q_on: Array  # 1 while the encoder alarm is up
     q_run: Array
     age: Array  # ticks since the torque alarm rose
-    peak: Array  # N m, largest |S| of the torque channel in this alarm
+    peak: Array  # N m, largest torque residual in this alarm
     kicked: Array  # 1 once an alarm was found to be a kick, until all has been quiet for KICK_MEMORY
     quiet: Array  # ticks since an alarm was up
     jumps: Array  # leaky count of jumps
@@ -70,18 +70,21 @@ def trusted(state: State, psi: Array) -> Array:
 
 
 def step(
-    config: Config, gains: Gains, state: State, s_tau: Array, s_q: Array, seen: Innovation, qd_hat: Array
+    config: Config, gains: Gains, state: State, s_tau: Array, s_q: Array, r_tau: Array, seen: Innovation, qd_hat: Array
 ) -> tuple[State, Array]:
-    """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad; the reading and qd_hat rad/s feed the second look."""
-    s_tau, s_q, seen, qd_hat = jax.lax.stop_gradient((s_tau, s_q, seen, qd_hat))
+    """Verdict [n, ...] int32 from the statistics [n, ...] N m and rad.
+
+    The torque residual r_tau [n, ...] N m, the reading and qd_hat rad/s feed the second look.
+    """
+    s_tau, s_q, r_tau, seen, qd_hat = jax.lax.stop_gradient((s_tau, s_q, r_tau, seen, qd_hat))
     level = jax.lax.stop_gradient(gains.diagnosis)
     tau_on, tau_run = alarm(s_tau, level.alpha_tau, state.tau_on, state.tau_run, config.alarm_ticks, config.release_ticks)
     q_on, q_run = alarm(s_q, level.alpha_q, state.q_on, state.q_run, 1, config.release_ticks)
 
     alarmed = (state.tau_on > 0) | (tau_on > 0)
     age = jnp.where(alarmed, state.age + 1, 0.0)
-    peak = jnp.where(alarmed, jnp.maximum(state.peak, jnp.abs(s_tau)), 0.0)
-    fallen = (tau_on == 0) | (jnp.abs(s_tau) < KICK * peak)
+    peak = jnp.where(alarmed, jnp.maximum(state.peak, jnp.abs(r_tau)), 0.0)
+    fallen = (tau_on == 0) | (jnp.abs(r_tau) < KICK * peak)
     excess = peak / level.alpha_tau
     kick = (state.tau_on > 0) & (age < config.kick_ticks) & fallen & (excess >= excess.max(0))
     quiet = jnp.where((tau_on > 0) | (q_on > 0), 0.0, state.quiet + 1)
