@@ -53,7 +53,7 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: 
     """What became of the faults of a run, from verdicts [T, n], the wanted one [n] and when a fault is there [T] bool.
 
     The delay runs from onset to the first alarm that is up then or later; the verdict is scored SETTLE after that. An alarm
-    before onset, or later than RECOVERY after the last tick of a fault, is a false one.
+    before onset, or later than RECOVERY after the last tick of a fault, is a false one and finds nothing.
     """
     alarm, ticks = (verdict != NORMAL).any(1), np.arange(len(verdict))
     there = np.flatnonzero(present)
@@ -63,11 +63,12 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: 
     false_alarm_s = float(false[0] * config.dt) if false.size else None
     if not there.size:
         return Detection(None, not false.size, false_alarm_s, verdict.max(0))
-    alarms = np.flatnonzero(alarm[first:])
+    alarms = np.flatnonzero(alarm & excused)
     if not alarms.size:
         return Detection(float("inf"), False, false_alarm_s, verdict[-1])
-    at = min(first + int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
-    return Detection(int(alarms[0]) * config.dt, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at])
+    at = min(int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
+    delay = (int(alarms[0]) - int(first)) * config.dt
+    return Detection(delay, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at])
 
 
 def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:

@@ -42,6 +42,13 @@ def test_an_alarm_that_outlasts_the_fault_is_false(config):
     assert metrics.detection(config, verdict, *fault(100, 150)).false_alarm_s == pytest.approx(0.250)
 
 
+def test_an_alarm_long_after_the_fault_finds_nothing(config):
+    verdict = np.zeros((400, 6), int)
+    verdict[300:310, 2] = ACTUATOR
+    found = metrics.detection(config, verdict, *fault(100, 150, ticks=400))
+    assert found.delay_s == float("inf") and found.false_alarm_s == pytest.approx(0.300)
+
+
 def test_a_miss_is_infinite_and_a_healthy_run_is_right_without_alarm(config):
     quiet, healthy = np.zeros((300, 6), int), fault(0, 0)
     assert metrics.detection(config, quiet, *fault(100, 200))[:2] == (float("inf"), False)
