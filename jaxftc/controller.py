@@ -66,8 +66,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
 
     judged = seen.b if config.observer == "ts" else residuals.q  # b is the cleaner one where there is one
     real = residual.torque(mass, decide.trusted(state.decide, seen.psi))
-    rate = gains.observer.alpha_i * seen.e / config.dt  # of psi, which integrates e
-    ahead = residual.torque(mass, decide.trusted(state.decide, gains.diagnosis.lead * rate))
+    ahead = residual.torque(mass, decide.trusted(state.decide, gains.diagnosis.lead * seen.e))  # what psi has yet to take up
     thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, real + ahead, judged)  # line 6
     decided, verdict = decide.step(config, gains, state.decide, s_tau, s_q, real, seen, qd)  # lines 8, 9
 

@@ -85,7 +85,7 @@ class DiagnosisGains:
 
     alpha_tau: Array = _gain("n", "N m", 2.0, above=0.0)  # torque threshold
     alpha_q: Array = _gain("n", "rad", math.radians(1.0), above=0.0)  # encoder threshold
-    lead: Array = _gain("n", "s", 0.0, low=0.0)  # by which the torque statistic is ahead of psi
+    lead: Array = _gain("n", "1/s^2", 0.0, low=0.0)  # weight of the innovation beside psi in the torque statistic
     lam_tau: Array = _gain("n", "1", 0.7, low=0.0, high=1.0)  # w, weight of the residual against its leaky mean
     lam_q: Array = _gain("n", "1", 1.0, low=0.0, high=1.0)
     leak_tau: Array = _gain("n", "1", 0.1, above=0.0, high=1.0)  # l, forgetting of that mean per tick

@@ -258,6 +258,69 @@ def test_the_best_of_each_column_carries_a_star():
     assert "*" not in one[1], "a calibrated share of false alarms is no merit"
 
 
+def test_schemes_run_on_the_same_scenarios_at_the_same_false_alarms(run, tmp_path):
+    program = f"from jaxftc.monte_carlo import job; job.HEALTHY = 300; {PROGRAM}"
+    command = ["campaign", "-n", 60, "--compare", "momentum,computed_torque", "--false-alarms", 0.05, "--out", tmp_path]
+    done = run(*command, "--worst", 0, "--json", *SHORT, program=program)
+    printed = json.loads(done.stdout)
+    assert printed == json.loads((tmp_path / "summary.json").read_text())
+    momentum, blind = (printed["schemes"][name] for name in ("momentum", "computed_torque"))
+    assert momentum["calibration"]["false_alarm_runs_95"][0] <= 0.05 and blind["calibration"] is None
+    assert momentum["detection"] > 0.5 and blind["detection"] == 0 and blind["delay_median_s"]["actuator"] is None
+    rows = [rows_of(tmp_path / name, 60) for name in ("momentum", "computed_torque")]
+    for name in ("kind", "magnitude_tau", "onset_s"):
+        np.testing.assert_array_equal(rows[0][name], rows[1][name])
+    assert {pair["kind"] for pair in printed["pairs"]} == {"actuator", "sensor", "both"}
+    assert all(pair["delay"] == "wins" for pair in printed["pairs"] if pair["kind"] == "actuator")
+    page = (tmp_path / "report.html").read_text()
+    assert page.count("plotly-graph-div") == 3 and "momentum against computed_torque" in page
+    before = {path: path.read_bytes() for path in tmp_path.rglob("chunk-*")}
+    again = json.loads(run(*command, "--worst", 0, "--json", *SHORT, program=program).stdout)
+    assert again["schemes"]["momentum"]["calibration"] == momentum["calibration"], "thresholds are set once"
+    assert before == {path: path.read_bytes() for path in tmp_path.rglob("chunk-*")}
+
+
+def test_calibrate_writes_gains_that_a_campaign_takes(run, tmp_path):
+    command = ["calibrate", "--scheme", "momentum", "--runs", 300, "--false-alarms", 0.05, "--out", tmp_path, "--json"]
+    printed = json.loads(run(*command, *SHORT).stdout)
+    assert printed == json.loads((tmp_path / "result.json").read_text())
+    assert printed["false_alarm_runs_95"][0] <= 0.05 and printed["runs"] == printed["fresh_runs"] == 150
+    config = jaxftc.Config(jaxftc.puma560(), engine="chain", duration=0.4)
+    with jax.enable_x64(False):
+        gains = jaxftc.load_gains(printed["gains"], config)
+    np.testing.assert_allclose(gains.diagnosis.alpha_tau, list(printed["alpha_tau_nm"].values()), rtol=1e-6)
+    assert (gains.diagnosis.lead == 0).all()
+    refused = run("calibrate", "--scheme", "computed_torque", "--out", tmp_path, code=2).stderr
+    assert "has no diagnosis" in refused
+    assert "too few" in run("calibrate", "--runs", 100, "--out", tmp_path, code=2).stderr
+    assert "diagnosis.lead must lie in [0, inf) 1/s^2" in run("calibrate", "--lead", -1, "--out", tmp_path, code=2).stderr
+
+
+def test_the_report_shows_what_the_summary_says(folder):
+    out, printed = folder
+    page = (out / "report.html").read_text()
+    assert page.count("plotly-graph-div") == 4, "confusion, delays, trade-off, and the worst scenario"
+    assert f"{100 * printed['detection']:.2f}" in page and "jaxftc simulate --from" in page
+    for fault in printed["by_kind"]:
+        assert fault in page
+
+
+@pytest.mark.slow
+def test_both_engines_give_the_same_verdicts(puma):
+    """200 scenarios of `standard` in single precision: every verdict the same, errors to 1 % for 95 % of them."""
+    with jax.enable_x64(False):
+        rows = []
+        for engine in ("chain", "mjx"):
+            config = jaxftc.Config(puma, engine=engine)
+            scenarios = jaxftc.sample_scenarios(jax.random.key(8), 200, config=config)
+            rows.append(jaxftc.campaign(config, jaxftc.default_gains(config), scenarios, jax.random.key(9)))
+    chain, mjx = rows
+    for name in ("detected", "kind_hat", "joint_hat"):
+        assert (chain[name] == mjx[name]).mean() >= 0.99, name
+    for name in ("fault_tau_rmse_nm", "tracking_rmse_deg", "chattering"):
+        assert np.quantile(np.abs(mjx[name] / chain[name] - 1), 0.95) < 0.01
+
+
 @pytest.mark.slow
 def test_a_campaign_killed_twenty_times_loses_nothing(folder, run, tmp_path):
     """Kill -9 at random moments, the same command again each time: the rows are those of a campaign left alone."""

@@ -67,7 +67,7 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
         gains,
         control=dataclasses.replace(gains.control, k_b=jnp.ones(N), floor=floor),
         diagnosis=dataclasses.replace(
-            gains.diagnosis, lam_q=jnp.full(N, 0.7), alpha_q=jnp.full(N, JUMP), lead=jnp.full(N, 0.01)
+            gains.diagnosis, lam_q=jnp.full(N, 0.7), alpha_q=jnp.full(N, JUMP), lead=jnp.full(N, 1e3)
         ),
     )
 

@@ -34,7 +34,7 @@ from jaxftc.types import Array
 
 REACH = math.log(20.0)
 INSET = 0.01  # of the interval
-SMALLEST = {"control.k_b": 1.0, "diagnosis.lead": 0.01}  # 1/s, s; for the others a thousandth of their default
+SMALLEST = {"control.k_b": 1.0, "diagnosis.lead": 1000.0}  # 1/s, 1/s^2; for the others a thousandth of their default
 POLES = "arx.xi_a"
 SETS = ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")
 FUZZY_OBSERVER = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths")

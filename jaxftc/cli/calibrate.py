@@ -29,8 +29,8 @@ class Calibrate(Laws):
     confidence: float = 0.95
     """Confidence that the share is not larger."""
     lead: float | None = None
-    """Let the torque statistic of the cascade be ahead of the fault estimate by this time, s, before the thresholds are set;
-    0.01 finds actuator faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
+    """Weight of the innovation in the torque statistic of the cascade, 1/s^2, set before the thresholds; 10000 finds actuator
+    faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
     runs: int = 8192
     """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
     logs: tuple[Path, ...] = ()
@@ -79,7 +79,7 @@ class Calibrate(Laws):
 
 
 def with_lead(config: Config, gains: Gains, lead: float) -> Gains:
-    """Gains with another lead, s, on every joint."""
+    """Gains with another lead, 1/s^2, on every joint."""
     import jax.numpy as jnp
 
     from jaxftc.gains import check
