@@ -29,8 +29,8 @@ class Calibrate(Laws):
     confidence: float = 0.95
     """Confidence that the share is not larger."""
     lead: float | None = None
-    """Weight of the innovation in the torque statistic of the cascade, 1/s^2, set before the thresholds; 10000 finds actuator
-    faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
+    """Weight of the innovation in the torque statistic of the cascade, 1/s^2, set before the thresholds; 10000 finds
+    actuator faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
     runs: int = 8192
     """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
     logs: tuple[Path, ...] = ()

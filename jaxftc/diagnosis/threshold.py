@@ -4,8 +4,8 @@ Reading of TH = alpha sgn(lambda r + sum r): (1) compare r with alpha sgn(S) as 
 S = w r + (1 - w) z and z is a leaky mean of r. We take (2): (1) calls any negative residual faulty, adds a residual to a sum
 of residuals of another unit, and lets the sum grow without end.
 
-In the torque channel r is M (psi + lead e): psi integrates the innovation e, and lead e is the proportional part beside it. It
-brings the alarm forward without making psi, and with it the motors, restless.
+In the torque channel r is M (psi + lead e): psi integrates the innovation e, and lead e is the proportional part beside it.
+It brings the alarm forward without making psi, and with it the motors, restless.
 """
 
 from __future__ import annotations
