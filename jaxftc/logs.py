@@ -33,7 +33,10 @@ def read(path: str | Path, config: Config) -> Log:
     """
     table = _table(Path(path))
     q, tau = (_signals(path, table, config, *names) for names in ((("q", "y_", "q_"), "rad"), (("tau", "tau_"), "N m")))
-    t = np.asarray(table.get("t", []), float)
+    try:
+        t = np.asarray(table.get("t", []), float)
+    except ValueError as error:
+        raise ValueError(f"{path}: column 't' must hold the time in s: {error}") from error
     if not len(t):
         raise ValueError(f"{path}: column 't' is missing or empty; it is the time in s, one row a sample")
     steps = np.diff(t)

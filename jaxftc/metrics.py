@@ -52,8 +52,9 @@ def truth(fault_tau: np.ndarray, fault_q: np.ndarray) -> tuple[np.ndarray, np.nd
 def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: np.ndarray) -> Detection:
     """What became of the faults of a run, from verdicts [T, n], the wanted one [n] and when a fault is there [T] bool.
 
-    The delay runs from onset to the first alarm that is up then or later; the verdict is scored SETTLE after that. An alarm
-    before onset, or later than RECOVERY after the last tick of a fault, is a false one and finds nothing.
+    The delay runs from onset to the first alarm of a joint and channel that rises then or later; the verdict is scored
+    SETTLE after that. An alarm before onset, or later than RECOVERY after the last tick of a fault, is a false one and finds
+    nothing, also if it is still up when the fault comes.
     """
     alarm, ticks = (verdict != NORMAL).any(1), np.arange(len(verdict))
     there = np.flatnonzero(present)
@@ -63,9 +64,10 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: 
     false_alarm_s = float(false[0] * config.dt) if false.size else None
     if not there.size:
         return Detection(None, not false.size, false_alarm_s, verdict.max(0))
-    alarms = np.flatnonzero(alarm & excused)
+    before = np.vstack([np.zeros_like(verdict[:1]), verdict[:-1]])
+    alarms = np.flatnonzero((verdict & ~before > 0).any(1) & excused)
     if not alarms.size:
-        return Detection(float("inf"), False, false_alarm_s, verdict[-1])
+        return Detection(float("inf"), False, false_alarm_s, np.zeros_like(verdict[0]))
     at = min(int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
     delay = (int(alarms[0]) - int(first)) * config.dt
     return Detection(delay, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at])

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 import tomllib
+from pathlib import Path
 
 import duckdb
 import jax
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.cli.campaign import SchemeName
 from jaxftc.faults.preset_file import load_preset
 from jaxftc.files import write_parquet
 from jaxftc.monte_carlo import job as jobs
@@ -115,7 +117,11 @@ def test_a_replay_reproduces_the_row_to_the_last_bit(folder, run, tmp_path):
     result = json.loads(done.stdout)
     assert result["same_as_stored"] is True and result["row"]["scenario_id"] == 123
     assert len(result["joints"]) == 6 and (tmp_path / "trace.parquet").exists()
-    run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--json")  # not run yet, but no less defined
+    later = json.loads(run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--json").stdout)
+    assert later["same_as_stored"] is None, "not run yet, but no less defined"
+    assert (
+        "--observer does nothing with --from" in run("simulate", "--from", out, "--id", 1, "--observer", "pi", code=2).stderr
+    )
 
 
 def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, monkeypatch):
@@ -124,8 +130,10 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     whole = rows_of(out)
     program = f"from jaxftc.monte_carlo import job; job.CHUNK = 100; {PROGRAM}"
     command = ["campaign", "--out", tmp_path, "--worst", 0, *SHORT]
-    one_core = {"preexec_fn": lambda: os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})}
-    run(*command, "-n", 250, program=program, **(one_core if hasattr(os, "sched_setaffinity") else {}))
+    one_core = (
+        "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); " if hasattr(os, "sched_setaffinity") else ""
+    )
+    run(*command, "-n", 250, program=one_core + program)
     assert_same_rows(rows_of(tmp_path, 250), {name: column[:250] for name, column in whole.items()})
     (tmp_path / "chunk-000000.parquet").unlink()
     torn = tmp_path / "chunk-000001.parquet"
@@ -133,9 +141,26 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     (tmp_path / "chunk-000001.parquet.tmp").write_bytes(b"half a file")
     done = run(*command, "-n", 300, program=program)
     assert "chunk-000001.parquet is torn; its rows are run again" in done.stdout
-    assert "chunk-000002.parquet is of another length; its rows are run again" in done.stdout
+    assert "chunk-000002.parquet is of a shorter campaign; it is run whole" in done.stdout
     assert_same_rows(rows_of(tmp_path), whole)
     assert not list(tmp_path.glob("*.tmp"))
+    kept = {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}
+    run(*command, "-n", 120, program=program)
+    assert kept == {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}, "fewer scenarios lose no row"
+
+
+def test_two_campaigns_in_one_folder_are_kept_apart(tmp_path):
+    pytest.importorskip("fcntl")
+    refused = pytest.raises(ValueError, match="another campaign is running in")
+    with store.held(tmp_path), refused, store.held(tmp_path):
+        pass
+    with store.held(tmp_path):
+        pass
+
+
+def test_rows_without_a_manifest_are_nobodys(run, tmp_path):
+    write_parquet(tmp_path / "chunk-000000.parquet", {"scenario_id": np.arange(10)})
+    assert "holds chunks but no manifest.toml" in run("campaign", "-n", 10, "--out", tmp_path, *SHORT, code=2).stderr
 
 
 @pytest.mark.parametrize(
@@ -143,9 +168,10 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     [
         (["--seed", "6"], "--seed 5, asked for 6"),
         (["--scheme", "momentum"], "--scheme 'cascade', asked for 'momentum'"),
-        (["--preset", "hard"], "--preset "),
+        (["--preset", "hard"], "--preset standard of content "),
+        (["--compare", "pi,eso"], "holds the campaign of one scheme"),
         (["--no-coulomb"], "--coulomb True, asked for False"),
-        (["--false-alarms", "0.02"], "--false-alarms 'unset', asked for 0.02"),
+        (["--false-alarms", "0.02"], "--false-alarms unset, asked for 0.02"),
     ],
 )
 def test_another_campaign_in_the_same_folder_is_refused(folder, run, change, words):
@@ -205,9 +231,10 @@ def test_what_keeps_a_chunk_from_being_used(tmp_path):
     assert store.fault_of(chunk) == "absent"
     for ids, fault in (
         (np.arange(20, 30), None),
-        (np.arange(20, 29), "of another length"),
-        (np.arange(21, 31), "of another length"),
-        (np.r_[20, 20, 22:30], "of another length"),
+        (np.arange(20, 40), None),
+        (np.arange(20, 29), "shorter"),
+        (np.arange(21, 31), "not this campaign's"),
+        (np.r_[20, 20, 22:30], "not this campaign's"),
     ):
         write_parquet(chunk.path, {"scenario_id": ids})
         assert store.fault_of(chunk) == fault
@@ -222,6 +249,12 @@ def test_the_manifest_says_what_the_rows_depend_on(folder):
     assert manifest["config"]["dt"] == 1e-3 and manifest["config"]["duration"] == 0.4
     assert manifest["made_with"].keys() == {"jaxftc", "jax", "mujoco"}
     assert load_preset(out / "preset.toml") == load_preset("standard")
+
+
+def test_every_scheme_has_one_name_everywhere():
+    assert SchemeName.__args__ == tuple(jobs.SCHEMES)
+    text = (Path(jaxftc.__file__).parents[1] / "docs" / "campaigns.md").read_text()
+    assert all(f"`{name}`" in text for name in jobs.SCHEMES)
 
 
 def test_scenarios_of_a_campaign_are_its_own(puma):
@@ -251,7 +284,12 @@ def test_the_best_of_each_column_carries_a_star():
     def result(detection, delay):
         errors = dict.fromkeys(versus.ERRORS, 1.0)
         shares = dict.fromkeys(("false_alarm_runs", "isolation_kind", "isolation_joint"), 0.5)
-        return shares | {"detection": detection, "delay_median_s": dict.fromkeys(summary.FAULTY, delay), "errors": errors}
+        return shares | {
+            "n_by_kind": dict.fromkeys(summary.FAULTY, 1),
+            "detection": detection,
+            "delay_median_s": dict.fromkeys(summary.FAULTY, delay),
+            "errors": errors,
+        }
 
     one, other = versus.cells({"one": result(0.9, 0.010), "other": result(0.8, None)})
     assert one[2] == "90.00*" and other[2] == "80.00" and one[5] == "10*" and other[5] == "missed"

@@ -48,7 +48,7 @@ class Calibrate(Laws):
         from jaxftc import save_gains
         from jaxftc.logs import read
         from jaxftc.monte_carlo.calibrate import calibrate_on_logs
-        from jaxftc.monte_carlo.job import SILENT, as_record, scheme_config, thresholds
+        from jaxftc.monte_carlo.job import SILENT, as_record, scheme_config, set_thresholds
 
         if self.scheme in SILENT:
             raise ValueError(
@@ -68,7 +68,7 @@ class Calibrate(Laws):
             )
         else:
             with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
-                found = thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
+                found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
         save_gains(folder / "gains.toml", found.gains, job.config)
         record = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
         text = common.write_json(folder / "result.json", record)

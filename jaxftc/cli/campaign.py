@@ -89,10 +89,14 @@ class Campaign(Laws):
         if self.out is None:
             common.say(self, f"If it is stopped, go on with --out {folder}")
         folders = {name: folder / name if self.compare else folder for name in names}
+        share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
+        requests = {name: self._request(job, name, share) for name, job in jobs.items()}
         found: dict[str, dict[str, Any]] = {}
-        for name, job in jobs.items():
-            folders[name].mkdir(exist_ok=True)
-            found[name] = self._one(folders[name], job, name)
+        with store.held(folder):
+            self._check(folder, folders, requests)
+            for name, job in jobs.items():
+                folders[name].mkdir(exist_ok=True)
+                found[name] = self._one(folders[name], job, requests[name], share)
         common.say(self, versus.as_text(found))
         if self.compare:
             rows = {name: store.read_rows(folders[name], self.n, versus.PAIRED) for name in names}
@@ -121,35 +125,57 @@ class Campaign(Laws):
             raise ValueError(f"--compare takes two or more different schemes with commas, got {self.compare!r}")
         return names
 
-    def _one(self, folder: Path, job: Job, name: str) -> dict[str, Any]:
+    def _check(self, folder: Path, folders: dict[str, Path], requests: dict[str, dict[str, Any]]) -> None:
+        """Refuse a folder that holds anything but the same campaign, before the first run."""
+        from jaxftc.monte_carlo import store
+
+        inside = [path.parent.name for path in folder.glob(f"*/{store.MANIFEST}")]
+        if self.compare and (folder / store.MANIFEST).exists():
+            raise ValueError(f"{folder} holds the campaign of one scheme; give another --out to --compare")
+        if not self.compare and inside:
+            raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; give another --out")
+        for name, own in folders.items():
+            if (own / store.MANIFEST).exists():
+                store.agree(own, requests[name])
+            else:
+                store.empty(own)
+
+    def _one(self, folder: Path, job: Job, request: dict[str, Any], share: float | None) -> dict[str, Any]:
         """One scheme: thresholds, missing rows, summary and report of its own."""
         from tqdm import tqdm
 
         from jaxftc.monte_carlo import page, store, summary
         from jaxftc.monte_carlo.job import begin, complete, worst
 
-        share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
-        request = self._request(name, share)
+        name, note = request["scheme"], lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
-            job, manifest = begin(folder, job, request, share, bar.update)
+            job, manifest = begin(folder, job, request, share, bar.update, note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
-            progress = complete(folder, job, self.n, bar.update, lambda text: common.say(self, text))
+            progress = complete(folder, job, self.n, bar.update, note)
         rows = store.read_rows(folder, self.n)
         result = summary.summarise(rows, name) | {"scenario_steps_per_s": progress.rate, "rows_kept": progress.kept}
-        result |= {"calibration": manifest.get("calibration")}
+        calibration = manifest.get("calibration")
+        if calibration and not (calibration["met"] and calibration["settled"]):
+            what = "still moved" if calibration["met"] else "let more false alarms through than wanted"
+            note(f"{name}: the thresholds {what}")
+        result |= {"calibration": calibration}
         common.write_json(folder / store.SUMMARY, result)
         shown = worst(job, rows, self.worst)
         write_text(folder / store.REPORT, page.campaign(job.config, folder, rows, result, shown))
         return result
 
-    def _request(self, name: str, share: float | None) -> dict[str, Any]:
+    def _request(self, job: Job, name: str, share: float | None) -> dict[str, Any]:
         """The options that rows depend on, as the manifest keeps them."""
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
+        import tomli_w
+
+        from jaxftc.faults.preset_file import as_dict
+        from jaxftc.monte_carlo.store import fingerprint
+
         request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
+        request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         if self.gains is not None:
-            from jaxftc.monte_carlo.store import fingerprint
-
-            request["gains"] = fingerprint(self.gains.read_text(encoding="utf-8"))
+            request["gains"] = [str(self.gains), fingerprint(self.gains.read_text(encoding="utf-8"))]
         return request

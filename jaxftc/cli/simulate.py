@@ -57,12 +57,13 @@ class Simulate(common.Options):
         from jaxftc import metrics, report, trace_file
 
         config, trace, title, more = self._again() if from_campaign else self._paper()
-        result = summary(config, trace, metrics.evaluate(config, trace)) | more
+        diverged = from_campaign and more["row"]["diverged"]
+        result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
         folder = common.make_folder(self, "simulate")
         trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
         text = common.write_json(folder / "result.json", result)
         write_text(folder / "figures.html", report.trace_page(config, trace, title))
-        common.say(self, table(title, result))
+        common.say(self, f"{title}: the arm diverged" if diverged else table(title, result))
         if from_campaign:
             common.say(self, row_as_text(result))
         common.say(
@@ -101,6 +102,12 @@ class Simulate(common.Options):
         from jaxftc.monte_carlo.job import again, load
 
         assert self.campaign is not None and self.id is not None
+        free = ("campaign", "id", "out", "json", "cache")
+        idle = [f.name for f in dataclasses.fields(self) if f.name not in free and getattr(self, f.name) != f.default]
+        if idle:
+            raise ValueError(
+                f"--{idle[0].replace('_', '-')} does nothing with --from, which takes the campaign's; leave it out"
+            )
         if not 0 <= self.id < 2**31:
             raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
         asked = store.read_manifest(self.campaign)["request"]
@@ -110,7 +117,7 @@ class Simulate(common.Options):
         row, trace = again(job, self.id)
         stored = store.read_rows(self.campaign, self.id + 1, where=f"scenario_id = {self.id}")
         same = None
-        if len(stored["scenario_id"]):
+        if len(stored.get("scenario_id", ())):
             same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())
         values = {name: column[0].item() for name, column in row.items()}
         clean = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}

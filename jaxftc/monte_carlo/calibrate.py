@@ -111,10 +111,13 @@ def _windows(config: Config, out: Output) -> Peaks:
     lasting = np.concatenate([np.zeros((config.alarm_ticks - 1, config.n)), lasting])
     angle, suspect = np.abs(np.asarray(out.statistic_q, float)), np.asarray(out.suspect) > 0
     ratio = np.maximum(lasting / np.asarray(out.threshold_tau), angle / np.asarray(out.threshold_q)).max(1)
-    spoke = suspect.any(1) & (np.maximum.accumulate(ratio) < 1)
+    recent = np.concatenate([np.zeros(config.kick_ticks), ratio])  # an alarm may call the second look, for so long
+    recent = np.stack([recent[k : k + len(ratio)] for k in range(config.kick_ticks + 1)]).max(0)
+    begins = suspect & ~np.concatenate([np.zeros_like(suspect[:1]), suspect[:-1]])
+    spoke = begins.any(1) & (recent < 1)
     count = len(size) // config.ticks
-    parts = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, spoke[:, None])]
-    return Peaks(parts[0], parts[1], parts[2][0] > 0)
+    cut = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, spoke[:, None])]
+    return Peaks(cut[0], cut[1], cut[2][0] > 0)
 
 
 def _settle(
@@ -125,8 +128,10 @@ def _settle(
     while rounds < ROUNDS and change > SETTLED:
         found = peaks(gains, 0)
         learned = len(found.spoke)
-        wanted = thresholds(config, found, false_alarms, confidence)
         before = [np.asarray(gains.diagnosis.alpha_tau, float), np.asarray(gains.diagnosis.alpha_q, float)]
+        wanted = thresholds(config, found, false_alarms, confidence)
+        if not found.q.any():
+            wanted[1] = before[1]  # a scheme that does not look at the encoder leaves that channel's thresholds alone
         change = max(float(np.abs(np.log(w / b)).max()) for w, b in zip(wanted, before, strict=True))
         if rounds >= 3 and change > SETTLED:  # to and fro: meet half way
             wanted = [np.sqrt(w * b) for w, b in zip(wanted, before, strict=True)]

@@ -75,7 +75,9 @@ def scheme_config(base: Config, scheme: str) -> Config:
 def complete(
     folder: Path, job: Job, n: int, done: Callable[[int], object], note: Callable[[str], object] = lambda text: None
 ) -> Progress:
-    """Run what is missing of the first n scenarios; ``done`` is told of rows, ``note`` of files that were not whole.
+    """Run what is missing of the first n scenarios of a folder that ``begin`` has seen.
+
+    ``done`` is told of rows, ``note`` of files that could not be kept.
 
     Raises:
         OSError: a chunk cannot be written; those before it are there.
@@ -87,13 +89,15 @@ def complete(
         marks.append((time.perf_counter(), count))
         done(count)
 
-    for chunk in store.chunks(folder, n, CHUNK):
+    for chunk in store.chunks(folder, n, store.read_manifest(folder)["chunk"]):
         fault = store.fault_of(chunk)
         if fault is None:
             kept += chunk.rows
             done(chunk.rows)
             continue
-        if fault != "absent":
+        if fault == "shorter":
+            note(f"{chunk.path.name} is of a shorter campaign; it is run whole")
+        elif fault != "absent":
             note(f"{chunk.path.name} is {fault}; its rows are run again")
         rows = campaign(job.config, job.gains, draw(job.preset, job.config, draws, chunk.ids), noise, tell)
         store.write_chunk(chunk, rows)
@@ -110,6 +114,7 @@ def begin(
     request: dict[str, Any],
     false_alarms: float | None,
     done: Callable[[int], object] = lambda count: None,
+    note: Callable[[str], object] = lambda text: None,
 ) -> tuple[Job, dict[str, Any]]:
     """The folder's campaign: that of an earlier call if it was the same request, a new one otherwise; and its manifest.
 
@@ -118,14 +123,18 @@ def begin(
     Raises:
         ValueError: the folder holds another campaign, or the thresholds cannot be set.
     """
-    request = request | {"seed": job.seed, "preset": store.fingerprint(tomli_w.dumps(as_dict(job.preset)))}
+    made_with = {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
     if (folder / store.MANIFEST).exists():
         store.agree(folder, request)
-        return job._replace(gains=load_gains(folder / store.GAINS, job.config)), store.read_manifest(folder)
-    manifest: dict[str, Any] = {"made_with": {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}}
-    manifest |= {"request": request, "config": describe(job.config)}
+        manifest = store.read_manifest(folder)
+        if manifest["made_with"] != made_with:
+            versions = [" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with)]
+            note(f"{folder} was begun with {versions[0]}, here {versions[1]}: new rows may differ in their last digits")
+        return job._replace(gains=load_gains(folder / store.GAINS, job.config)), manifest
+    store.empty(folder)
+    manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
     if false_alarms is not None and request["scheme"] not in SILENT:
-        found = thresholds(job, false_alarms, done)
+        found = set_thresholds(job, false_alarms, done)
         job = job._replace(gains=found.gains)
         manifest["calibration"] = as_record(found)
     save_gains(folder / store.GAINS, job.gains, job.config)
@@ -134,7 +143,7 @@ def begin(
     return job, manifest
 
 
-def thresholds(
+def set_thresholds(
     job: Job,
     false_alarms: float,
     done: Callable[[int], object] = lambda count: None,
@@ -157,6 +166,7 @@ def as_record(found: Calibration) -> dict[str, Any]:
         "runs": found.runs,
         "rounds": found.rounds,
         "settled": found.settled,
+        "met": found.met,
         "fresh_runs": found.fresh,
         "false_alarm_runs": found.reached.value,
         "false_alarm_runs_95": [low, high],

@@ -83,7 +83,8 @@ def delays(rows: Table) -> go.Figure:
         delay = np.sort(part["delay_s"])
         found = delay[np.isfinite(delay)] * 1e3
         step = max(1, len(found) // 400)  # no eye sees more
-        points, level = found[::step], (np.arange(len(found)) + 1)[::step] / max(len(delay), 1)
+        shown = np.unique(np.r_[np.arange(0, len(found), step), len(found) - 1]) if len(found) else np.arange(0)
+        points, level = found[shown], (shown + 1) / max(len(delay), 1)
         dash = ("solid", "dash", "dot")[k // len(report.COLOURS) % 3]
         figure.add_scatter(
             x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",

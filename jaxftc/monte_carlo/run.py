@@ -30,7 +30,7 @@ from jaxftc.monte_carlo import score, table
 from jaxftc.types import Array
 
 LANES = {"cpu": 128}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
-MANY_LANES = 16384  # on a device with thousands of cores
+MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at a time
 
 
 def campaign(
@@ -91,7 +91,7 @@ class _Program:
 
     def __init__(self, config: Config) -> None:
         def block(key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
-            true = score.truth(scenarios)
+            true = score.truth(config, scenarios)
 
             def look(state: score.State, tick: Trace) -> tuple[score.State, Trace]:
                 first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)

@@ -3,7 +3,9 @@
 ``init`` and ``step`` follow one tick after the other. The truth is the scenario's: a fault is there from the first onset to
 the last clearance. ``Score`` has one number a scenario; ``table`` makes columns of it.
 
-An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused.
+An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused. A
+fault is found by an alarm that rises in that time: one that is up from before has found nothing. A fault that would begin
+after the run's end is none.
 """
 
 from __future__ import annotations
@@ -53,9 +55,9 @@ class Score(NamedTuple):
     false_events: Array  # times that a false alarm rose
     false_at: Array  # s, first alarm that is not excused
     began: Array  # s, first tick at or after onset
-    alarm_at: Array  # s, first alarm at or after onset that is excused
+    alarm_at: Array  # s, first alarm of a joint and channel that rises at or after onset and is excused
     isolated_at: Array  # s, from when on every verdict was right for ISOLATED, at or after onset
-    last_alarm: Array  # s, last alarm after clearance; -infinite if there was none
+    quiet_at: Array  # s, first tick after clearance without an alarm
     verdict: Array  # [n, ...] int32, SETTLE after alarm_at; of a healthy run all that was ever said
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
     healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm
@@ -69,17 +71,18 @@ class State(NamedTuple):
 
     score: Score
     tau: Array  # [n, ...] 1, last torque over its limit
+    verdict: Array  # [n, ...] int32, of the last tick
+    ratio: Array  # 1, largest statistic over its threshold, of the last tick
     rough: Array  # [2, n, ...] 1, states of the high-pass filter
     held: Array  # [alarm_ticks - 1, n, ...] N m, last torque statistics
-    alarm: Array  # bool, there was one in the last tick
     right: Array  # ticks in a row with every verdict right
-    top: Array  # 1, largest statistic over its threshold so far
+    top: Array  # 1, largest statistic over its threshold so far, before onset and from then on
 
 
-def truth(scenario: Scenario) -> Truth:
+def truth(config: Config, scenario: Scenario) -> Truth:
     """What the scenario says of its faults; scenario axes trailing."""
     faults = scenario.fault_tau, scenario.fault_q
-    faulty = [fault.kind > 0 for fault in faults]
+    faulty = [(fault.kind > 0) & (fault.onset <= (config.ticks - 1) * config.dt) for fault in faults]
     ill = (faulty[0] | faulty[1]).any(0)
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
@@ -91,9 +94,8 @@ def init(config: Config, like: Array) -> State:
     """Nothing scored yet; ``like`` [n, ...] gives scenario axes and precision."""
     zero, never = jnp.zeros_like(like[0]), jnp.full_like(like[0], jnp.inf)
     scores = {name: zero for name in Score._fields}
-    scores |= {name: never for name in ("false_at", "began", "alarm_at", "isolated_at")}
+    scores |= {name: never for name in ("false_at", "began", "alarm_at", "isolated_at", "quiet_at")}
     scores |= {
-        "last_alarm": -never,
         "verdict": jnp.zeros(like.shape, jnp.int32),
         "crossed": jnp.full((len(LEVELS), *zero.shape), jnp.inf, like.dtype),
         "healthy_tau": jnp.zeros_like(like),
@@ -102,13 +104,14 @@ def init(config: Config, like: Array) -> State:
     }
     held = jnp.zeros((config.alarm_ticks - 1, *like.shape), like.dtype)
     rough = jnp.zeros((2, *like.shape), like.dtype)
-    return State(Score(**scores), jnp.zeros_like(like), rough, held, alarm=scores["lost"], right=zero, top=zero)
+    return State(Score(**scores), jnp.zeros_like(like), scores["verdict"], zero, rough, held, right=zero, top=zero)
 
 
 def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
     """One tick: ``tick`` is a ``Trace`` of a moment, [n, ...]."""
     score, out, t = state.score, tick.out, tick.t
     limit = scale(config, tick.q)
+    limited = chain.trailing_constant(np.isfinite(config.robot.torque_limit), tick.q) > 0
     tau = out.tau / limit
     change = jnp.where(t > 0, tau - state.tau, 0.0)
     filtered, rough = _high_pass(config, state.rough, tau, t)
@@ -117,7 +120,8 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
 
     before, excused = (t < true.onset) | true.healthy, (t >= true.onset) & (t <= true.clear + RECOVERY)
     false = out.detected & before
-    alarm_at = jnp.minimum(score.alarm_at, jnp.where(out.detected & excused, t, jnp.inf))
+    rises = (out.verdict & ~state.verdict > 0).any(0)
+    alarm_at = jnp.minimum(score.alarm_at, jnp.where(rises & excused, t, jnp.inf))
     right = jnp.where((t >= true.onset) & (out.verdict == true.wanted).all(0), state.right + 1, 0.0)
     enough = round(ISOLATED / config.dt)
     scoring = true.healthy | (t <= alarm_at + SETTLE + 0.5 * config.dt) & (alarm_at <= t)
@@ -126,7 +130,8 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
     history = jnp.concatenate([state.held, size_tau[None]])
     lasting = history.min(0)
     ratio = jnp.maximum(lasting / out.threshold_tau, size_q / out.threshold_q).max(0)
-    spoke = (out.suspect > 0).any(0) & (jnp.maximum(state.top, ratio) < 1)  # after an alarm it may be the alarm's own kick
+    top = jnp.where((t >= true.onset) & (t - config.dt < true.onset), 0.0, state.top)
+    spoke = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be the alarm's own kick
     ratio = jnp.where(spoke, jnp.inf, ratio)
     levels = trailing(jnp.asarray(LEVELS, t.dtype), 1, ratio.ndim)
     return State(
@@ -140,17 +145,17 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
             effort=score.effort + (tau * tau).sum(0),
             travel=score.travel + jnp.abs(change).sum(0),
             rough=score.rough + (rough * rough).sum(0),
-            saturated=score.saturated + (jnp.abs(tau) >= 1 - 1e-6).sum(0),
+            saturated=score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited).sum(0),
             peak=jnp.maximum(score.peak, jnp.abs(tau).max(0)),
             false_ticks=score.false_ticks + false,
-            false_events=score.false_events + (false & ~state.alarm),
+            false_events=score.false_events + (false & (state.verdict == 0).all(0)),
             false_at=jnp.minimum(score.false_at, jnp.where(out.detected & (true.healthy | ~excused), t, jnp.inf)),
             began=jnp.minimum(score.began, jnp.where(t >= true.onset, t, jnp.inf)),
             alarm_at=alarm_at,
             isolated_at=jnp.minimum(score.isolated_at, jnp.where(right >= enough, t - (enough - 1) * config.dt, jnp.inf)),
-            last_alarm=jnp.where(out.detected & (t > true.clear), t, score.last_alarm),
+            quiet_at=jnp.minimum(score.quiet_at, jnp.where(~out.detected & (t > true.clear), t, jnp.inf)),
             verdict=jnp.where(scoring, jnp.where(true.healthy, score.verdict | out.verdict, out.verdict), score.verdict),
-            crossed=jnp.minimum(score.crossed, jnp.where(excused & (ratio >= levels), t, jnp.inf)),
+            crossed=jnp.minimum(score.crossed, jnp.where(excused & (ratio >= levels) & (state.ratio < levels), t, jnp.inf)),
             healthy_tau=jnp.where(before, jnp.maximum(score.healthy_tau, lasting), score.healthy_tau),
             healthy_q=jnp.where(before, jnp.maximum(score.healthy_q, size_q), score.healthy_q),
             healthy_ratio=jnp.where(before, jnp.maximum(score.healthy_ratio, ratio), score.healthy_ratio),
@@ -159,9 +164,10 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
         tau=tau,
         rough=filtered,
         held=history[1:],
-        alarm=out.detected,
+        verdict=out.verdict,
+        ratio=ratio,
         right=right,
-        top=jnp.maximum(state.top, ratio),
+        top=jnp.maximum(top, ratio),
     )
 
 

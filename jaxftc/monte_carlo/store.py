@@ -7,7 +7,9 @@ the campaign's length, so a longer campaign goes on from a shorter one.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import os
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,6 +50,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     try:
         return tomllib.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        inside = sorted(str(path.parent) for path in folder.glob(f"*/{MANIFEST}"))
+        if inside:
+            raise ValueError(f"{folder} holds a comparison; name one of its schemes: {', '.join(inside)}") from error
         raise ValueError(
             f"{folder} holds no campaign that can be read: {error}; give the --out of jaxftc campaign"
         ) from error
@@ -61,20 +66,60 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
 def agree(folder: Path, request: dict[str, Any]) -> None:
     """Refuse to go on with another campaign than the folder's.
 
+    A value that is a list is a file: its name, for people, and the fingerprint of its content, which counts.
+
     Raises:
         ValueError: naming what differs, what the folder has and what was asked for.
     """
     had = read_manifest(folder).get("request", {})
-    names = {"gains_from": "gains"}
+
+    def counts(value: Any) -> Any:
+        return value[-1] if isinstance(value, list) else value
+
+    def shown(value: Any) -> str:
+        return "unset" if value is None else " of content ".join(value) if isinstance(value, list) else repr(value)
+
     other = [
-        f"--{names.get(key, key).replace('_', '-')} {had.get(key, 'unset')!r}, asked for {request.get(key, 'unset')!r}"
+        f"--{key.replace('_', '-')} {shown(had.get(key))}, asked for {shown(request.get(key))}"
         for key in sorted({*had, *request})
-        if had.get(key) != request.get(key)
+        if counts(had.get(key)) != counts(request.get(key))
     ]
     if other:
         raise ValueError(
             f"{folder} holds another campaign: {'; '.join(other)}; give the options it was started with, or another --out"
         )
+
+
+@contextlib.contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """The folder for this process alone; the system lets go of it when the process ends, however it ends.
+
+    Raises:
+        ValueError: another process runs a campaign in it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # a system without it: nothing keeps two campaigns apart
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError as error:
+        raise ValueError(f"another campaign is running in {folder}; wait for it, or give another --out") from error
+    finally:
+        os.close(handle)
+
+
+def empty(folder: Path) -> None:
+    """Refuse a folder that holds rows of unknown origin.
+
+    Raises:
+        ValueError: there are chunks, but no manifest.
+    """
+    if any(folder.glob("chunk-*.parquet")):
+        raise ValueError(f"{folder} holds chunks but no {MANIFEST} that says what they are; give another --out")
 
 
 def chunks(folder: Path, n: int, size: int) -> Iterator[Chunk]:
@@ -84,7 +129,10 @@ def chunks(folder: Path, n: int, size: int) -> Iterator[Chunk]:
 
 
 def fault_of(chunk: Chunk) -> str | None:
-    """What keeps a chunk's file from being used, None if nothing does; ``absent`` if it is not there."""
+    """What keeps a chunk's file from being used, None if nothing does; ``absent`` if it is not there.
+
+    A file with more rows than asked for is the chunk of a longer campaign and serves this one.
+    """
     import duckdb
 
     if not chunk.path.exists():
@@ -95,8 +143,10 @@ def fault_of(chunk: Chunk) -> str | None:
             found = connection.execute(query, {"path": str(chunk.path)}).fetchone()
     except duckdb.Error:
         return "torn"
-    wanted = (chunk.rows, chunk.rows, chunk.first, chunk.first + chunk.rows - 1)
-    return None if found == wanted else "of another length"
+    rows, different, first, last = found or (0, 0, None, None)
+    if first != chunk.first or different != rows or last != chunk.first + rows - 1:
+        return "not this campaign's"
+    return None if rows >= chunk.rows else "shorter"
 
 
 def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> None:
@@ -109,15 +159,20 @@ def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> None:
 
 
 def read_rows(folder: Path, n: int, columns: str = "*", where: str = "true") -> dict[str, np.ndarray]:
-    """Columns of the first n scenarios in the order of their ids; ``where`` is a condition in SQL.
+    """Columns of the first n scenarios that are there, in the order of their ids; nothing if there are none.
+
+    ``where`` is a condition in SQL.
 
     In the files a figure that does not apply is null; here it is not a number.
     """
     import duckdb
 
+    files = [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
+    if not files:
+        return {}
     query = f"select {columns} from read_parquet($files) where scenario_id < $n and ({where}) order by scenario_id"
     with duckdb.connect() as connection:
-        found = connection.execute(query, {"files": str(folder / "chunk-*.parquet"), "n": n}).fetchnumpy()
+        found = connection.execute(query, {"files": files, "n": n}).fetchnumpy()
     return {
         name: np.ma.filled(column, np.nan) if column.dtype.kind == "f" else np.asarray(column)
         for name, column in found.items()

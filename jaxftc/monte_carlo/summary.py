@@ -34,6 +34,7 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     found |= _share("false_alarm_runs", rows["false_alarm"][healthy])
     found |= _share("false_alarm_before_onset", rows["false_alarm"][early])
     found |= _faults(_where(rows, faulty))
+    found["n_by_kind"] = {name: int((kind == name).sum()) for name in VERDICTS}
     delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}

@@ -51,7 +51,7 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     A delay is infinite where the fault was missed and not a number where there was none to find. A run that diverged
     has infinite errors.
     """
-    tau, q = _Channel(scenarios.fault_tau, Actuator), _Channel(scenarios.fault_q, Sensor)
+    tau, q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
     has_tau, ill = tau.faulty.any(0), tau.faulty | q.faulty
     wanted, healthy = tau.faulty + 2 * q.faulty, ~ill.any(0)
     verdict = np.asarray(score.verdict)
@@ -71,8 +71,9 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     def rms(total: Any) -> np.ndarray:
         return error(np.sqrt(_double(total) / (ticks * n)))
 
-    outlasted = np.maximum(_double(score.last_alarm) - np.where(np.isfinite(clear), clear, 0.0) + dt, 0.0)
-    up_to_the_end = _double(score.last_alarm) > (ticks - 1.5) * dt
+    detected = np.isfinite(score.alarm_at) & ~healthy
+    goes = detected & (clear < (ticks - 1) * dt)
+    recovery = np.maximum(_double(score.quiet_at) - np.where(goes, clear, 0.0) - dt, 0.0)
     return {
         "scenario_id": np.asarray(scenarios.id, np.int64),
         "kind": np.asarray(VERDICTS)[kind],
@@ -88,10 +89,10 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
         "unit": np.where(has_tau, tau.unit, q.unit),
         "onset_s": np.where(healthy, np.nan, np.minimum(tau.onset, q.onset)),
         "clear_s": np.where(healthy, np.nan, clear),
-        "detected": np.isfinite(score.alarm_at) & ~healthy,
+        "detected": detected,
         "delay_s": since(score.alarm_at),
         "isolated_s": since(score.isolated_at),
-        "recovery_s": np.where(healthy | (clear >= (ticks - 1) * dt), np.nan, np.where(up_to_the_end, np.inf, outlasted)),
+        "recovery_s": np.where(goes, recovery, np.nan),
         "kind_hat": np.asarray(VERDICTS)[kind_hat],
         "joint_hat": _first(verdict > 0),
         "joint_tau_hat": _first(verdict & 1 > 0),
@@ -137,15 +138,17 @@ def _first(where: np.ndarray) -> np.ndarray:
 class _Channel:
     """Faults of one channel, [scenarios, n] as sampled, as columns; magnitude and law are the first faulty joint's."""
 
-    def __init__(self, fault: Fault, kinds: type[IntEnum]) -> None:
-        kind = np.asarray(fault.kind).T
+    def __init__(self, config: Config, fault: Fault, kinds: type[IntEnum]) -> None:
+        onset = np.asarray(fault.onset)
+        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in score.truth
+        kind = np.where(begins, np.asarray(fault.kind), 0).T
         self.faulty = kind > 0  # [n, scenarios]
         at = self.faulty.argmax(0)[None]
 
         def own(leaf: Any) -> np.ndarray:
             return np.take_along_axis(np.asarray(leaf).T, at, 0)[0]
 
-        self.code, size = own(fault.kind), _double(own(fault.magnitude))
+        self.code, size = kind[at[0], np.arange(kind.shape[1])], _double(own(fault.magnitude))
         self.name = _names(kinds)[self.code]
         self.unit = np.array(["", *(UNITS[kinds, k] for k in kinds if k > 0)])[self.code]
         size = np.where(np.char.startswith(self.unit, "deg"), np.rad2deg(size), size)

@@ -72,11 +72,12 @@ NOTE = (
 
 def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
     """A row a scheme of the comparison table; the best of each figure carries a star."""
-    values = []
+    values, absent = [], []
     for s in found.values():
         delays = [s["delay_median_s"][kind] for kind in FAULTY]
         errors = [s["errors"][error] for error in ERRORS]
         shares = [s[name] for name in ("false_alarm_runs", "detection", "isolation_kind", "isolation_joint")]
+        absent.append([s["n_by_kind"][kind] == 0 for kind in FAULTY])
         values.append([_scaled(x, 100) for x in shares] + [_scaled(x, 1e3) for x in delays] + errors)
     digits = (2, 2, 2, 2, 0, 0, 0, 3, 4, 4, 2)
     better = (None, max, max, max, min, min, min, min, min, min, min)
@@ -85,7 +86,8 @@ def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
         column = [row[k] for row in values]
         there = [round(x, places) for x in column if x is not None]
         best = choose(there) if choose and there and len(found) > 1 else None
-        texts.append([_text(x, places, best, missed=4 <= k < 7) for x in column])
+        never = [4 <= k < 7 and not row[k - 4] for row in absent]  # a delay of faults that were drawn and not found
+        texts.append([_text(x, places, best, missed=late) for x, late in zip(column, never, strict=True)])
     return [(name, *row) for name, row in zip(found, zip(*texts, strict=True), strict=True)]
 
 

@@ -6,11 +6,15 @@ from scipy import signal
 from jaxftc.monte_carlo.score import LEVELS
 
 
-def truth(scenario):
-    """(wanted verdict [n], onset, clear) of one scenario; onset 0 and clear inf if nothing is wrong."""
-    tau, q = scenario.fault_tau, scenario.fault_q
-    faults = [(f.onset[j], f.clear[j]) for f in (tau, q) for j in range(len(f.kind)) if f.kind[j] > 0]
-    wanted = (np.asarray(tau.kind) > 0) + 2 * (np.asarray(q.kind) > 0)
+def truth(config, scenario):
+    """(wanted verdict [n], onset, clear) of one scenario; onset 0 and clear inf if nothing is wrong before the run's end."""
+    last = (config.ticks - 1) * config.dt
+    wanted, faults = np.zeros(config.n, int), []
+    for bit, fault in ((1, scenario.fault_tau), (2, scenario.fault_q)):
+        for j in range(config.n):
+            if fault.kind[j] > 0 and fault.onset[j] <= last:
+                wanted[j] += bit
+                faults.append((fault.onset[j], fault.clear[j]))
     if not faults:
         return wanted, 0.0, np.inf
     return wanted, float(min(onset for onset, _ in faults)), float(max(clear for _, clear in faults))
@@ -18,7 +22,7 @@ def truth(scenario):
 
 def score(config, scenario, trace):
     """Every field of Score for one run; ``trace`` is a column per signal, [T, n]."""
-    wanted, onset, clear = truth(scenario)
+    wanted, onset, clear = truth(config, scenario)
     healthy = not wanted.any()
     t, limit, dt = trace["t"], config.robot.torque_limit, config.dt
     tau = trace["tau"] / limit
@@ -28,7 +32,7 @@ def score(config, scenario, trace):
     high = signal.butter(2, 50.0, "highpass", fs=1 / dt)
     rough = np.stack([signal.lfilter(*high, x, zi=signal.lfilter_zi(*high) * x[0])[0] for x in tau.T], axis=1)
 
-    false_ticks, false_events, false_at, alarm_at, last_alarm, began = 0, 0, np.inf, np.inf, -np.inf, np.inf
+    false_ticks, false_events, false_at, alarm_at, quiet_at, began = 0, 0, np.inf, np.inf, np.inf, np.inf
     for k in range(len(t)):
         before = healthy or t[k] < onset
         excused = onset <= t[k] <= clear + 0.1
@@ -39,10 +43,11 @@ def score(config, scenario, trace):
             false_events += k == 0 or not alarm[k - 1]
         if alarm[k] and (healthy or not excused):
             false_at = min(false_at, t[k])
-        if alarm[k] and excused:
+        before_it = verdict[k - 1] if k else np.zeros(config.n, int)
+        if excused and any(new & ~old for new, old in zip(verdict[k], before_it, strict=True)):
             alarm_at = min(alarm_at, t[k])
-        if alarm[k] and t[k] > clear:
-            last_alarm = t[k]
+        if not alarm[k] and t[k] > clear:
+            quiet_at = min(quiet_at, t[k])
 
     isolated_at = np.inf
     for k in range(len(t) - 19):
@@ -65,9 +70,12 @@ def score(config, scenario, trace):
     ratio, top = np.zeros(len(t)), 0.0
     for k in range(len(t)):
         ratio[k] = max((lasting[k] / trace["threshold_tau"][k]).max(), (size_q[k] / trace["threshold_q"][k]).max())
+        if t[k] >= onset > t[k] - dt:
+            top = 0.0
         if max(top, ratio[k]) < 1 and trace["suspect"][k].any():
             ratio[k] = np.inf
         top = max(top, ratio[k])
+    rising = [(ratio >= level) & (np.r_[0.0, ratio[:-1]] < level) for level in LEVELS]
     early = np.ones(len(t), bool) if healthy else t < onset
     window = (t >= onset) & (t <= clear + 0.1)
     return {
@@ -88,9 +96,9 @@ def score(config, scenario, trace):
         "began": began,
         "alarm_at": alarm_at,
         "isolated_at": isolated_at,
-        "last_alarm": last_alarm,
+        "quiet_at": quiet_at,
         "verdict": said,
-        "crossed": np.array([min(t[window & (ratio >= level)], default=np.inf) for level in LEVELS]),
+        "crossed": np.array([min(t[window & up], default=np.inf) for up in rising]),
         "healthy_tau": lasting[early].max(0, initial=0),
         "healthy_q": size_q[early].max(0, initial=0),
         "healthy_ratio": ratio[early].max(initial=0),
