@@ -14,7 +14,7 @@ from jaxftc import smooth
 from jaxftc.arm import chain, plant
 from jaxftc.config import Config
 from jaxftc.control import sliding, surface
-from jaxftc.control.pending import Pending, commanded, pack, rows
+from jaxftc.control.pending import Pending, commanded, holding, pack, rows
 from jaxftc.diagnosis import decide, residual, threshold
 from jaxftc.gains import Gains
 from jaxftc.observer import cascade
@@ -35,9 +35,7 @@ class State(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """Controller state at rest in q [n, ...] rad, holding the arm against gravity."""
-    at, zero = chain.pose(config.robot, q), jnp.zeros_like(q)
-    mass = plant.nominal_mass(config.robot, at)
-    pending = Pending(plant.nominal_torque(config.robot, at, zero, zero), zero, pack(mass, q))
+    zero, pending = jnp.zeros_like(q), holding(config.robot, q)
     return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, zero, q, zero)
 
 

@@ -17,7 +17,7 @@ from jaxftc import smooth
 from jaxftc.arm import chain, plant
 from jaxftc.config import Config
 from jaxftc.control import surface
-from jaxftc.control.pending import Pending, commanded, pack
+from jaxftc.control.pending import Pending, commanded, holding, pack
 from jaxftc.gains import Gains
 from jaxftc.types import Array, Measurement, Output, Reference
 
@@ -46,7 +46,7 @@ class State(NamedTuple):
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
     del gains
-    return State(rest(q), holding(config, q))
+    return State(rest(q), holding(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
@@ -63,13 +63,6 @@ def rest(q: Array) -> Motion:
     """Standing still at q [n, ...] rad."""
     zero = jnp.zeros_like(q)
     return Motion(q, zero, zero, zero)
-
-
-def holding(config: Config, q: Array) -> Pending:
-    """The command that holds the arm in q [n, ...] rad against gravity."""
-    at, zero = chain.pose(config.robot, q), jnp.zeros_like(q)
-    tau = plant.nominal_torque(config.robot, at, zero, zero)
-    return Pending(tau, zero, pack(plant.nominal_mass(config.robot, at), q))
 
 
 def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Array) -> Motion:

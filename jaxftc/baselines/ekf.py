@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxftc.arm import chain, plant
 from jaxftc.baselines import computed_torque
 from jaxftc.config import Config
-from jaxftc.control.pending import Pending, commanded
+from jaxftc.control.pending import Pending, commanded, holding
 from jaxftc.diagnosis import decide
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.types import ACTUATOR, SENSOR, Array, Measurement, Output, Reference
@@ -56,7 +56,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     zero = jnp.zeros_like(q)
     cov = diagonal(jnp.broadcast_to(gains.baseline.noise_y**2, q.shape), zero, zero, zero)
     belief = Belief(jnp.concatenate([q, zero, zero, zero]), cov)
-    return State(belief, zero, zero, zero, zero, computed_torque.holding(config, q))
+    return State(belief, zero, zero, zero, zero, holding(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:

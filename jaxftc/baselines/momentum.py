@@ -28,7 +28,7 @@ from jaxftc.arm.robot import Robot
 from jaxftc.baselines import computed_torque
 from jaxftc.baselines.computed_torque import Motion
 from jaxftc.config import Config
-from jaxftc.control.pending import Pending, commanded
+from jaxftc.control.pending import Pending, commanded, holding
 from jaxftc.diagnosis import decide
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.types import ACTUATOR, Array, Measurement, Output, Reference
@@ -62,7 +62,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     del gains
     zero = jnp.zeros_like(q)
     observer = Observer(zero, *momentum(config.robot, q, zero))
-    return State(computed_torque.rest(q), observer, zero, zero, computed_torque.holding(config, q))
+    return State(computed_torque.rest(q), observer, zero, zero, holding(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:

@@ -59,6 +59,9 @@ class Simulate(common.Options):
         config, trace, title, more = self._again() if from_campaign else self._paper()
         diverged = from_campaign and more["row"]["diverged"]
         result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
+        if from_campaign and not diverged:  # as the campaign has it, which knows the scenario and not only its signals
+            result |= {name: more["row"][name] for name in ("delay_s", "false_alarm_s")}
+            result |= {"isolated": more["row"]["verdict_right"]}
         folder = common.make_folder(self, "simulate")
         trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
         text = common.write_json(folder / "result.json", result)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc import smooth
-from jaxftc.arm import chain
+from jaxftc.arm import chain, plant
 from jaxftc.arm.robot import Robot
 from jaxftc.types import Array
 
@@ -18,6 +18,12 @@ class Pending(NamedTuple):
     tau: Array  # [n, ...] N m, before the limits
     qdd: Array  # [n, ...] rad/s^2, acceleration that tau was computed for
     mass: Array  # [n, n, ...] kg m^2, nominal inertia
+
+
+def holding(robot: Robot, q: Array) -> Pending:
+    """The command that holds the arm in q [n, ...] rad against gravity."""
+    at, zero = chain.pose(robot, q), jnp.zeros_like(q)
+    return Pending(plant.nominal_torque(robot, at, zero, zero), zero, pack(plant.nominal_mass(robot, at), q))
 
 
 def commanded(robot: Robot, pending: Pending, tau: Array) -> tuple[Array, Array]:
