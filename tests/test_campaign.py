@@ -193,6 +193,7 @@ def test_another_campaign_in_the_same_folder_is_refused(folder, run, change, wor
         (["--gains", "nothing.toml"], "cannot read gains from nothing.toml"),
         (["--out", "/proc/nothing"], "cannot write results"),
         (["--seed", "-1"], "--seed must lie in 0"),
+        (["--duration", "0.05"], "no fault of preset 'standard' begins within 0.05 s; the first onset is at 0.1 s"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(run, tmp_path, arguments, words):
@@ -277,7 +278,7 @@ def test_schemes_are_compared_scenario_by_scenario():
     assert pair["tracking_rmse_deg"]["value"] == 2.0 and pair["tracking_rmse_deg"]["word"] == "loses"
     assert pair["chattering"]["word"] == "ties" and other["delay"] == "wins"
     text = versus.pairs_as_text([pair])
-    assert "wins delay; loses tracking; ties" in text
+    assert "wins delay; loses tracking (2.00); ties" in text
 
 
 def test_the_best_of_each_column_carries_a_star():
@@ -285,6 +286,7 @@ def test_the_best_of_each_column_carries_a_star():
         errors = dict.fromkeys(versus.ERRORS, 1.0)
         shares = dict.fromkeys(("false_alarm_runs", "isolation_kind", "isolation_joint"), 0.5)
         return shares | {
+            "calibration": None,
             "n_by_kind": dict.fromkeys(summary.FAULTY, 1),
             "detection": detection,
             "delay_median_s": dict.fromkeys(summary.FAULTY, delay),

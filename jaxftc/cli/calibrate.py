@@ -117,7 +117,7 @@ def table(config: Config, before: Gains, found: Calibration) -> str:
     lines += (
         []
         if found.met
-        else ["MORE THAN WANTED: the fresh runs differ from those the thresholds were set on; give more --runs"]
+        else ["MORE THAN WANTED: the fresh runs differ from those the thresholds were set on; give more runs"]
     )
     lines += [] if found.settled else [f"the thresholds still moved after {found.rounds} rounds"]
     return "\n".join(lines)

@@ -41,6 +41,7 @@ class Laws(common.Options):
 
     def job(self, config: Config) -> Job:
         """Everything that a row depends on, with the gains that were asked for."""
+        from jaxftc.faults.laws import extent
         from jaxftc.faults.preset_file import load_preset
         from jaxftc.faults.sample import check_arm
         from jaxftc.monte_carlo.job import Job
@@ -48,6 +49,12 @@ class Laws(common.Options):
         common.key(self)  # the seed's range
         preset = load_preset(self.preset)
         check_arm(preset, config, self.preset)
+        duration, onset = config.ticks * config.dt, extent(preset.times.onset_s)[0]
+        if onset >= duration and preset.shares.healthy < 1:
+            raise ValueError(
+                f"no fault of preset {self.preset!r} begins within {duration:g} s; the first onset is at {onset:g} s, "
+                "so give a longer --duration"
+            )
         return Job(config, common.load_or_default(self, config), preset, self.seed)
 
 
@@ -82,14 +89,17 @@ class Campaign(Laws):
         import json
 
         from jaxftc.monte_carlo import page, store, versus
-        from jaxftc.monte_carlo.job import scheme_config
+        from jaxftc.monte_carlo.calibrate import allowed
+        from jaxftc.monte_carlo.job import HEALTHY, scheme_config
 
         jobs = {name: self.job(scheme_config(self.base(), name)) for name in names}
+        share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
+        if share is not None:
+            allowed(HEALTHY // 2, share, 0.95)
         folder = common.make_folder(self, "campaign")
         if self.out is None:
             common.say(self, f"If it is stopped, go on with --out {folder}")
         folders = {name: folder / name if self.compare else folder for name in names}
-        share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         requests = {name: self._request(job, name, share) for name, job in jobs.items()}
         found: dict[str, dict[str, Any]] = {}
         with store.held(folder):
@@ -134,6 +144,8 @@ class Campaign(Laws):
             raise ValueError(f"{folder} holds the campaign of one scheme; give another --out to --compare")
         if not self.compare and inside:
             raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; give another --out")
+        if set(inside) - set(folders):
+            raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; name them all, or another --out")
         for name, own in folders.items():
             if (own / store.MANIFEST).exists():
                 store.agree(own, requests[name])

@@ -133,8 +133,9 @@ def _settle(
         if not found.q.any():
             wanted[1] = before[1]  # a scheme that does not look at the encoder leaves that channel's thresholds alone
         change = max(float(np.abs(np.log(w / b)).max()) for w, b in zip(wanted, before, strict=True))
-        if rounds >= 3 and change > SETTLED:  # to and fro: meet half way
-            wanted = [np.sqrt(w * b) for w, b in zip(wanted, before, strict=True)]
+        if rounds >= 3:  # to and fro: the higher ones hold the rate as well, and stay
+            wanted = [np.maximum(w, b) for w, b in zip(wanted, before, strict=True)]
+            change = max(float(np.abs(np.log(w / b)).max()) for w, b in zip(wanted, before, strict=True))
         gains, rounds = with_thresholds(gains, *wanted), rounds + 1
     fresh = peaks(gains, 1)
     levels = np.asarray(gains.diagnosis.alpha_tau)[:, None], np.asarray(gains.diagnosis.alpha_q)[:, None]
@@ -163,7 +164,7 @@ def allowed(runs: int, false_alarms: float, confidence: float) -> int:
         least = math.ceil(math.log(1 - confidence) / math.log(1 - false_alarms))
         raise ValueError(
             f"{runs} healthy runs are too few to hold {100 * false_alarms:g} % false alarms with {100 * confidence:g} % "
-            f"confidence; at least {least} are needed, or a larger share"
+            f"confidence; at least {least} are needed to set the thresholds on, and as many to check them, or a larger share"
         )
     return count
 

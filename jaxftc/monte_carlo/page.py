@@ -25,7 +25,7 @@ def campaign(
     """One scheme's page."""
     sections = [
         _table([versus.HEAD, versus.UNITS, *versus.cells({result["scheme"]: result})]),
-        f"<p>{_calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
+        f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
         "<h2>What was true, what was said</h2>",
         report.embed(confusion(result)),
         "<h2>By kind of fault</h2>",
@@ -51,7 +51,7 @@ def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) ->
     text = versus.pairs_as_text(pairs)
     sections = [
         _table([versus.HEAD, versus.UNITS, *versus.cells(found)]) + f"<p>{versus.NOTE}; * best of the column.</p>",
-        *(f"<p>{html.escape(name)}: {_calibrated(result)}</p>" for name, result in found.items()),
+        *(f"<p>{html.escape(name)}: {versus.calibrated(result)}</p>" for name, result in found.items()),
         "<h2>Thresholds: false alarms against detection and delay</h2>",
         report.embed(trade_off(found)),
         f"<h2>Paired by scenario</h2><pre style='white-space:pre-wrap'>{html.escape(text.strip())}</pre>",
@@ -123,7 +123,7 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
 
 
 def _kinds(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    head = ("fault", "n", "detected", "kind right", "joint right", "delay", "delay 95 %", "isolated", "torque est.",
+    head = ("fault", "n", "detected", "kind right", "joint right", "delay", "its 95 %", "isolated", "torque est.",
             "angle est.", "tracking")  # fmt: skip
     units = ("", "", "%", "% of det.", "% of det.", "median ms", "ms", "median ms", "rms N m", "rms deg", "rms deg")
     lines = [head, units]
@@ -145,17 +145,6 @@ def _table(lines: list[tuple[str, ...]]) -> str:
     titles = "".join(f"<th>{html.escape(t)}<br>{html.escape(u)}</th>" for t, u in zip(head, units, strict=True))
     rows = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in body)
     return f"<table><tr>{titles}</tr>{rows}</table>"
-
-
-def _calibrated(result: dict[str, Any]) -> str:
-    found = result.get("calibration")
-    if not found:
-        return "Thresholds as given."
-    low, high = found["false_alarm_runs_95"]
-    return (
-        f"Thresholds set for {100 * found['wanted']:g} % of healthy runs with an alarm: "
-        f"{100 * found['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] of {found['fresh_runs']} fresh ones."
-    )
 
 
 def _shown(row: dict[str, Any]) -> int:

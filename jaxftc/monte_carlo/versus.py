@@ -11,6 +11,7 @@ from jaxftc.monte_carlo.summary import ERRORS, FAULTY, Table
 from jaxftc.statistics import Interval, median, share
 
 PAIRED = "scenario_id, kind, delay_s, fault_tau_rmse_nm, fault_q_rmse_deg, tracking_rmse_deg, chattering"  # columns
+UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
 WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
 
 
@@ -110,16 +111,31 @@ def as_text(found: dict[str, dict[str, Any]]) -> str:
         for line in lines
     ]
     star = "; * best of the column" if len(found) > 1 else ""
-    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], NOTE + star])
+    lines = [f"{name}: {calibrated(result)}" for name, result in found.items()]
+    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], NOTE + star, *lines])
+
+
+def calibrated(result: dict[str, Any]) -> str:
+    """What the thresholds are worth, in a sentence."""
+    found = result.get("calibration")
+    if not found:
+        alarms = result["false_alarm_runs"] or 0.0
+        unfit = f" They do not suit these arms: {100 * alarms:.0f} % of the healthy runs raise an alarm; see --false-alarms."
+        return "Thresholds as given." + (unfit if alarms > UNFIT else "")
+    low, high = found["false_alarm_runs_95"]
+    return (
+        f"Thresholds set for {100 * found['wanted']:g} % of healthy runs with an alarm: "
+        f"{100 * found['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] of {found['fresh_runs']} fresh ones."
+    )
 
 
 def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
     """Who wins where, from the 95 % intervals of paired figures."""
-    lines = ["", "Paired by scenario, 95 % intervals:"]
+    lines = ["", "Paired by scenario, judged by 95 % intervals; in brackets the median of one error over the other:"]
     for pair in pairs:
         words = {"delay": pair["delay"]} | {error: pair[error]["word"] for error in ERRORS if error in pair}
         parts = [
-            f"{word} {', '.join(_plain(k) for k, w in words.items() if w == word)}"
+            f"{word} {', '.join(_plain(k, pair[k]) for k, w in words.items() if w == word)}"
             for word in WINS
             if word in words.values()
         ]
@@ -130,9 +146,10 @@ def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def _plain(name: str) -> str:
+def _plain(name: str, figure: Any) -> str:
     plain = {"fault_tau_rmse_nm": "torque estimate", "fault_q_rmse_deg": "angle estimate", "tracking_rmse_deg": "tracking"}
-    return plain.get(name, name)
+    ratio = "" if isinstance(figure, str) or figure["value"] is None else f" ({figure['value']:.2f})"
+    return plain.get(name, name) + ratio
 
 
 def kinds_as_text(result: dict[str, Any]) -> str:
