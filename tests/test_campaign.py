@@ -31,11 +31,12 @@ PROGRAM = "from jaxftc.cli.main import main; main()"
 def run(request):
     """Run the command in a fresh process; compiled programs stay in pytest's cache folder."""
     home = str(request.config.cache.mkdir("commands"))
+    environment = {k: v for k, v in os.environ.items() if k != "TF_CPP_MIN_LOG_LEVEL"}  # JAX sets it where it is imported
 
     def call(*arguments, code=0, **more):
         command = [sys.executable, "-c", more.pop("program", PROGRAM), *map(str, arguments)]
         done = subprocess.run(
-            command, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": home}, check=False, **more
+            command, capture_output=True, text=True, env=environment | {"XDG_CACHE_HOME": home}, check=False, **more
         )
         assert done.returncode == code, done.stderr
         return done
