@@ -367,12 +367,11 @@ def test_a_campaign_killed_twenty_times_loses_nothing(folder, run, tmp_path):
     """Kill -9 at random moments, the same command again each time: the rows are those of a campaign left alone."""
     out, _ = folder
     program = f"from jaxftc.monte_carlo import job; job.CHUNK = 20; {PROGRAM}"
-    command = [sys.executable, "-c", program, "campaign", "-n", "300", "--out", str(tmp_path), "--worst", "0", *SHORT]
+    rows_at, warm = tmp_path / "run", tmp_path / "warm"
+    command = [sys.executable, "-c", program, "campaign", "-n", "300", "--out", str(rows_at), "--worst", "0", *SHORT]
     environment = os.environ | {"XDG_CACHE_HOME": run.home}
     chance, killed = random.Random(1), 0
-    subprocess.run(
-        [*command[:4], "-n", "1", "--out", str(tmp_path / "warm"), *SHORT], env=environment, check=True, capture_output=True
-    )
+    subprocess.run([*command[:4], "-n", "1", "--out", str(warm), *SHORT], env=environment, check=True, capture_output=True)
     while killed < 20:
         process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + chance.uniform(0.5, 6.0)
@@ -382,9 +381,10 @@ def test_a_campaign_killed_twenty_times_loses_nothing(folder, run, tmp_path):
             process.kill()
             killed += 1
         process.wait()
+        assert process.returncode in (0, -signal.SIGKILL)
         if process.returncode == 0:  # it came to its end: start over, with the files it has but for a few
-            for path in chance.sample(sorted(tmp_path.glob("chunk-*.parquet")), 10):
+            for path in chance.sample(sorted(rows_at.glob("chunk-*.parquet")), 10):
                 path.unlink()
     subprocess.run(command, env=environment, check=True, capture_output=True)
-    assert_same_rows(rows_of(tmp_path), rows_of(out))
-    assert len(rows_of(tmp_path)["scenario_id"]) == 300
+    assert_same_rows(rows_of(rows_at), rows_of(out))
+    assert len(rows_of(rows_at)["scenario_id"]) == 300

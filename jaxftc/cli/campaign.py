@@ -178,12 +178,12 @@ class Campaign(Laws):
 
     def _request(self, job: Job, name: str, share: float | None) -> dict[str, Any]:
         """The options that rows depend on, as the manifest keeps them."""
-        robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
         import tomli_w
 
         from jaxftc.faults.preset_file import as_dict
         from jaxftc.monte_carlo.store import fingerprint
 
+        robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
         request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
         request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         request |= {} if self.duration is None else {"duration": self.duration}
