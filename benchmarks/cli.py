@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
+from benchmarks.metrics import SECTIONS, Section
 from jaxftc.cli import common
 from jaxftc.files import write_parquet, write_text
 from tuning.settings import Settings
@@ -21,15 +24,26 @@ if TYPE_CHECKING:
 class Bench(common.Options):
     """Benchmarks, side by side in one run; writes result.json and report.html.
 
+    speed: plant, closed loop, gradient, tick and campaign against MuJoCo C, MJX and NumPy, results checked while timed.
     tuning: gradient, CMA-ES, random search and finite differences, held-out objective over simulations and over time.
     ranking: the paper's two rankings, every observer and controller tuned from its default gains with the same budget.
     """
 
-    suite: tyro.conf.Positional[Literal["tuning", "ranking"]] = "tuning"
+    suite: tyro.conf.Positional[Literal["speed", "tuning", "ranking"]] = "speed"
     """What to measure."""
+    sections: tuple[Section, ...] = SECTIONS
+    """What to measure of it (speed)."""
+    quick: bool = False
+    """Small sizes: shows that all of it works, its figures are not to be compared (speed)."""
+    largest: int = 100_000
+    """Scenarios of the largest campaign (speed)."""
+    gate: bool = False
+    """Exit with 1 if a ratio is worse than the committed baseline allows, or missing (speed)."""
+    update_baseline: bool = False
+    """Make this run the committed baseline and results (speed)."""
     settings: tyro.conf.OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
     engine: Literal["mjx", "chain"] = "chain"
-    """Plant dynamics."""
+    """Plant dynamics (tuning, ranking)."""
     coulomb: bool = True
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
@@ -45,25 +59,71 @@ class Bench(common.Options):
 
     def run(self) -> None:
         """Measure, print, write."""
-        common.prepare(self, every_core=True)
-        from benchmarks import machine
+        common.prepare(self, every_core=self.suite != "speed")
+        from benchmarks import baseline, machine
         from jaxftc import Config, checks
 
         self.settings.check()
         checks.integer("--seeds", self.seeds, 1, "5 show the spread")
         checks.integer("--held-out", self.held_out, 32, "rankings are read by condition")
         checks.positive("--more", self.more, "the budget")
+        checks.integer("--largest", self.largest, 20_000, "10,000 are measured anyway")
+        if self.quick and (self.gate or self.update_baseline):
+            raise ValueError("--quick has other sizes than the baseline; leave it out with --gate and --update-baseline")
+        if self.gate:
+            baseline.load()  # refused now rather than after the run
         config = Config(common.load_arm(self), engine=self.engine)
         folder = common.make_folder(self, f"bench-{self.suite}")
-        suite = self._tuning if self.suite == "tuning" else self._ranking
+        suite = {"speed": self._speed, "tuning": self._tuning, "ranking": self._ranking}[self.suite]
         result, text, page = suite(config, folder)
-        result = {"machine": machine.describe(), "settings": dataclasses.asdict(self.settings), **result}
+        result = {"machine": machine.describe(), **result}
         printed = common.write_json(folder / "result.json", result)
         write_text(folder / "report.html", page)
         common.say(self, text)
         common.say(self, f"\nWritten to {folder}: result.json, report.html")
         if self.json:
             print(printed)
+        if self.suite == "speed":
+            self._judge(result)
+
+    def _speed(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+        import tempfile
+
+        from tqdm import tqdm
+
+        from benchmarks import machine, speed, speed_page
+        from benchmarks.results import Failed, Setup
+        from benchmarks.sizes import FULL, QUICK
+
+        sizes = QUICK if self.quick else dataclasses.replace(FULL, campaigns=(FULL.campaigns[0], self.largest))
+
+        def announced() -> Iterator[Section]:
+            with tqdm(self.sections, unit="section", leave=False) as bar:
+                for section in bar:
+                    bar.set_description(section)
+                    yield section
+
+        with tempfile.TemporaryDirectory() as scratch:
+            try:
+                found = speed.run(Setup(self, sizes, machine.cores(), Path(scratch)), announced())
+            except Failed as failure:
+                raise SystemExit(f"jaxftc: {failure}") from failure
+        return speed_page.as_dict(found, sizes, config), speed_page.as_text(found), speed_page.page(found)
+
+    def _judge(self, result: dict[str, Any]) -> None:
+        """Hold the run against the baseline, or make it the baseline."""
+        from benchmarks import baseline
+
+        if self.gate:
+            worse = baseline.compare(baseline.load()["metrics"], {row["key"]: row["value"] for row in result["metrics"]})
+            for line in worse:
+                print(f"jaxftc: {line}", file=sys.stderr)
+            if worse:
+                sys.exit(1)
+            common.say(self, "No ratio is worse than the baseline allows.")
+        if self.update_baseline:
+            baseline.save(result)
+            common.say(self, f"Written: {baseline.PATH}, {baseline.RESULTS}")
 
     def _tuning(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
         import numpy as np
@@ -84,7 +144,8 @@ class Bench(common.Options):
             {n: np.array(column) for n, column in zip(names, zip(*rows, strict=True), strict=True)},
         )
         verdicts = curves.verdicts(found)
-        result = {"gradient_cost": cost, "seeds": self.seeds, "methods": verdicts}
+        result = {"settings": dataclasses.asdict(self.settings), "gradient_cost": cost, "seeds": self.seeds}
+        result |= {"methods": verdicts}
         return result, tuning_text(cost, verdicts), report.curves_page(found, cost)
 
     def _ranking(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
@@ -95,7 +156,8 @@ class Bench(common.Options):
         with tqdm(total=len(ranking.STRUCTURES) + 3, desc="structures", unit="run", leave=False) as bar:
             pairs, notes = ranking.measure(config, self.seed, self.held_out, self.settings, bar.update)
         rows = [pair._asdict() | {"ratio": pair.ratio._asdict(), "result": pair.word} for pair in pairs]
-        return {"pairs": rows, **notes}, ranking_text(pairs, notes), report.ranking_page(pairs, notes)
+        settings = dataclasses.asdict(self.settings)
+        return {"settings": settings, "pairs": rows, **notes}, ranking_text(pairs, notes), report.ranking_page(pairs, notes)
 
 
 def tuning_text(cost: float, verdicts: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ import platform
 from typing import Any
 
 import jax
+import mujoco
 
 from jaxftc.version import __version__
 
@@ -21,9 +22,15 @@ def describe() -> dict[str, Any]:
         pass
     return {
         "processor": name,
-        "cores": os.cpu_count(),
+        "cores": cores(),
         "devices": [str(device) for device in jax.local_devices()],
         "python": platform.python_version(),
         "jax": jax.__version__,
+        "mujoco": mujoco.__version__,
         "jaxftc": __version__,
     }
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

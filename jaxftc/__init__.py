@@ -32,6 +32,7 @@ _ROOMS = {
     "monte_carlo.calibrate": ("calibrate",),
     "monte_carlo.run": ("campaign",),
     "schemes": ("init", "step"),
+    "tick": ("Tick",),
     "types": ("VERDICTS", "Measurement", "Output", "Reference"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

@@ -25,6 +25,7 @@ from jaxftc.monte_carlo.calibrate import calibrate as calibrate
 from jaxftc.monte_carlo.run import campaign as campaign
 from jaxftc.schemes import init as init
 from jaxftc.schemes import step as step
+from jaxftc.tick import Tick as Tick
 from jaxftc.types import VERDICTS as VERDICTS
 from jaxftc.types import Measurement as Measurement
 from jaxftc.types import Output as Output

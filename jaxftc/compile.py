@@ -1,7 +1,10 @@
 """The one place where functions are compiled by this library.
 
-XLA's CPU fusion emitters make a step of many small operations 20 to 140 times slower than the older code path; they are
-switched off per compilation, only on the CPU and only where the installed XLA knows the option.
+On the CPU, XLA's own way makes a step of many small operations 20 to 140 times slower than need be. There are two ways out
+(``fusion.py``), by the size of what a program is given. Programs on large arrays are fenced, and the pass that strips fences
+before XLA fuses is switched off. Programs on small arrays, single arms first of all, have little to gain from vector units:
+they become one function, which only XLA's older code path can emit. Options are set per compilation, and only where the
+installed XLA knows them; other backends compile as they do.
 """
 
 from __future__ import annotations
@@ -14,56 +17,59 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-_CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False}
+from jaxftc.fusion import planned, whole
+
+SMALL = 128  # elements
+_WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
+_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 @functools.cache
-def compiler_options() -> dict[str, Any]:
+def compiler_options(*, small: bool = False) -> dict[str, Any]:
     """Options for the default backend: empty where they are unknown, so that nothing breaks."""
+    options = _WHOLE if small else _PLANNED
     if jax.default_backend() != "cpu":
         return {}
     try:
-        jax.jit(lambda x: x + 1, compiler_options=_CPU_OPTIONS).lower(0.0).compile()
+        jax.jit(lambda x: x + 1, compiler_options=options).lower(0.0).compile()
     except jax.errors.JaxRuntimeError:
         return {}
-    return _CPU_OPTIONS
+    return options
 
 
 def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
-    """``jax.jit`` with the options above, looked up at the first call so that importing starts no backend.
+    """``jax.jit`` as said above; what is needed is made at the first call, so that importing starts no backend.
 
-    Options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds for
-    ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without the options: wrap those in this ``jit``.
+    Plan and options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds
+    for ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without them: wrap those in this ``jit``.
     """
     plain = jax.jit(fun, **kwargs)
-
-    @functools.cache
-    def compiled() -> Any:
-        return jax.jit(fun, compiler_options=compiler_options(), **kwargs)
+    by_size = functools.cache(lambda small: _jitted(fun, small, **kwargs))
 
     @functools.wraps(fun)
     def call(*args: Any, **call_kwargs: Any) -> Any:
-        target = plain if is_tracing(args, call_kwargs) else compiled()
-        return target(*args, **call_kwargs)
+        if is_tracing(args, call_kwargs):
+            return plain(*args, **call_kwargs)
+        return by_size(_small(args, call_kwargs))(*args, **call_kwargs)
 
     return call
 
 
-def apart(*values: Any) -> Any:
-    """The values as they are, but computed once and stored before they are used.
+def ahead(fun: Callable[..., Any], *examples: Any) -> Any:
+    """A program for one arm, compiled now for arguments like the examples: calls cost less than those of ``jit``."""
+    return _jitted(fun, small=True).lower(*examples).compile()
 
-    XLA's CPU compiler draws the arithmetic of a producer into each of its users. In the reverse mode of the unrolled
-    dynamics that repeats whole recursions for every entry of an array: a barrier at their inputs halves the time of a
-    gradient through the closed loop. Compilers strip plain barriers before they fuse; they leave a branch alone whose
-    condition they do not know and whose two sides differ in form. Other backends, and single arms, do without.
-    """
-    leaves, tree = jax.tree.flatten(values)
-    if jax.default_backend() != "cpu" or leaves[0].ndim < 2:
-        return values
-    unknown = jax.lax.stop_gradient(leaves[0]).ravel()[0] < jnp.inf
-    return jax.tree.unflatten(tree, jax.lax.cond(unknown, lambda *x: x, lambda *x: jax.lax.optimization_barrier(x), *leaves))
+
+def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
+    options = compiler_options(small=small)
+    way = (whole if small else planned) if options else lambda fun: fun
+    return jax.jit(way(fun), compiler_options=options, **kwargs)
+
+
+def _small(*values: object) -> bool:
+    return all(getattr(leaf, "size", 0) <= SMALL for leaf in jax.tree.leaves(values))
 
 
 def is_tracing(*values: object) -> bool:
     """True inside a caller's ``jit`` (where even a constant is traced) or where a value is a tracer."""
-    return isinstance(jnp.zeros(()), Tracer) or any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values)) or isinstance(jnp.zeros(()), Tracer)

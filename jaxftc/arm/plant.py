@@ -19,7 +19,6 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.arm import chain, mjx
 from jaxftc.arm.robot import Robot
-from jaxftc.compile import apart
 from jaxftc.types import Array, trailing
 
 Engine = Literal["mjx", "chain"]
@@ -62,7 +61,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
         rows = [chain.lanes(row) for row in chain.lanes(matrix)]
         drive = drive - bias
     else:
-        at, qd = apart(chain.pose(robot, q), qd)
+        at = chain.pose(robot, q)
         inertias = chain.scaled_inertias(robot, plant.mass, plant.payload)
         rows = chain.mass_matrix(robot, inertias, at)
         drive = drive - chain.stack(chain.newton_euler(robot, inertias, at, chain.lanes(qd), None), drive)
@@ -98,7 +97,6 @@ def inverse_dynamics(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
 
 def nominal_torque(robot: Robot, at: chain.Pose, qd: Array, qdd: Array) -> Array:
     """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
-    at, qd, qdd = apart(at, qd, qdd)
     links = chain.newton_euler(robot, chain.nominal_inertias(robot), at, chain.lanes(qd), chain.lanes(qdd))
     motor = chain.trailing_constant(robot.armature, qdd) * qdd + chain.trailing_constant(robot.damping, qd) * qd
     return chain.stack(links, motor) + motor
@@ -106,7 +104,6 @@ def nominal_torque(robot: Robot, at: chain.Pose, qd: Array, qdd: Array) -> Array
 
 def nominal_mass(robot: Robot, at: chain.Pose) -> list[list[chain.Lane]]:
     """M(q) of the nominal arm, motor inertia included, as n x n lanes."""
-    (at,) = apart(at)
     matrix = chain.mass_matrix(robot, chain.nominal_inertias(robot), at)
     for i in range(robot.n):
         matrix[i][i] = matrix[i][i] + float(robot.armature[i])

@@ -29,7 +29,7 @@ from jaxftc.gains import Gains
 from jaxftc.monte_carlo import score, table
 from jaxftc.types import Array
 
-LANES = {"cpu": 128}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
+LANES = {"cpu": 256}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
 MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at a time
 
 

@@ -1,0 +1,58 @@
+"""The child's end of a worker: the workload, run whenever the parent asks; it returns what the parent checks."""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+
+from benchmarks import workloads
+from benchmarks.clock import timed
+from benchmarks.peers import mjx_default
+from benchmarks.worker import Task
+from jaxftc.cli import common
+from jaxftc.config import Config
+
+
+def serve(task: Task, options: common.Options) -> None:
+    """Call once, then on every line of stdin that says so; an answer is a line of JSON."""
+    config = Config(common.load_arm(options), engine=task.engine, duration=task.duration)
+    gains = common.load_or_default(options, config)
+    call = _workload(task, config, gains)
+    jax.block_until_ready(jax.numpy.zeros(()))  # the backend is up before the clock runs
+    word = "run"
+    while word:
+        if word == "memory":
+            answer = {"bytes": workloads.largest_program()}
+        else:
+            seconds, value = timed(call)
+            answer = {"seconds": seconds, "value": value, "peak_bytes": _peak()}
+        print(json.dumps(answer), flush=True)
+        word = sys.stdin.readline().strip()
+
+
+def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
+    if task.what == "loop":
+        loop = workloads.loop(config, gains, task.batch)
+        return lambda: loop().ise[:8].tolist()
+    if task.what == "mjx":
+        arms, begin = mjx_default.Plant(config.robot, config.dt, config.ticks), workloads.starts(config, task.batch)
+        return lambda: [np.asarray(x).T.tolist() for x in arms(*begin)]
+    gradient = workloads.gradient(config, gains, task.batch)
+
+    def summary() -> dict[str, Any]:
+        terms, slopes = gradient()
+        finite = bool(np.isfinite(terms).all() and np.isfinite(slopes).all())
+        return {"finite": finite, "terms": terms.mean(1).tolist(), "slope": slopes.mean(1).tolist()}
+
+    return summary
+
+
+def _peak() -> int:
+    """Largest resident memory so far, bytes."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

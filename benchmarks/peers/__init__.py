@@ -1,0 +1,1 @@
+"""What a user would otherwise pick: MuJoCo C, MJX as it comes, a NumPy loop, other libraries."""

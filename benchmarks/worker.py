@@ -1,0 +1,119 @@
+"""A workload in a process of its own: fresh caches, its own devices and cores, its own peak memory. Both ends.
+
+The parent starts it and asks; the child answers with one line of JSON on stdout for its start and for every call.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import IO, Any, Literal
+
+from jaxftc.cli import common
+
+
+@dataclasses.dataclass(frozen=True)
+class Task:
+    """What the child is to time."""
+
+    what: Literal["loop", "gradient", "mjx"]
+    robot: str = "puma560"
+    coulomb: bool = True
+    gains: str | None = None
+    engine: Literal["mjx", "chain"] = "chain"
+    duration: float | None = None  # s
+    batch: int = 128
+    cores: int | None = None  # it may use; all if None
+
+
+class Failed(RuntimeError):
+    """A workload did not run, or its results are wrong: figures would mean nothing."""
+
+
+class Worker:
+    """The parent's end; ``first`` is what the first call took, compilation included, ``value`` what it gave."""
+
+    def __init__(self, task: Task, cache: Path) -> None:
+        self.task = task
+        text = json.dumps(dataclasses.asdict(task))
+        environment = os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3"}
+        self._child = subprocess.Popen(
+            [sys.executable, "-m", "benchmarks.worker", text],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            text=True,
+        )
+        try:
+            answer = self._answer()
+        except BaseException:
+            self.close()
+            raise
+        self.first, self.value = answer["seconds"], answer["value"]
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __call__(self) -> dict[str, Any]:
+        """One call: seconds, value, and the peak resident memory of the process so far, bytes."""
+        return self._ask("run")
+
+    def memory(self) -> int:
+        """Bytes that the largest program of the process sets aside."""
+        return self._ask("memory")["bytes"]
+
+    def _ask(self, word: str) -> dict[str, Any]:
+        _pipe(self._child.stdin).write(word + "\n")
+        _pipe(self._child.stdin).flush()
+        return self._answer()
+
+    def best(self, rounds: int) -> float:
+        """The least seconds of some calls."""
+        return min(self()["seconds"] for _ in range(rounds))
+
+    def _answer(self) -> dict[str, Any]:
+        line = _pipe(self._child.stdout).readline()
+        if not line:
+            raise Failed(f"the process of {self.task} ended with code {self._child.wait()}; its error is above")
+        return json.loads(line)
+
+    def close(self) -> None:
+        """End the child; it leaves when there is nothing more to read."""
+        _pipe(self._child.stdin).close()
+        self._child.wait()
+        _pipe(self._child.stdout).close()
+
+
+def compiling(worker: Worker, rounds: int = 2) -> float:
+    """Seconds that compiling took: the first call less a warm one."""
+    return worker.first - worker.best(rounds)
+
+
+def _pipe(pipe: IO[str] | None) -> IO[str]:
+    if pipe is None:
+        raise Failed("the worker has no pipe")
+    return pipe
+
+
+def main(task: Task) -> None:
+    """The child's end: its settings, before anything imports JAX."""
+    if task.cores is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: task.cores])
+    options = common.Options(
+        engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
+    )
+    common.prepare(options, every_core=task.what == "gradient")  # as `jaxftc tune` does
+    from benchmarks import child
+
+    child.serve(task, options)
+
+
+if __name__ == "__main__":
+    main(Task(**json.loads(sys.argv[1])))

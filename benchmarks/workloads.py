@@ -1,0 +1,160 @@
+"""What is timed on our side, each as a function without arguments, called the way that users and commands call it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import closed_loop, reference, schemes
+from jaxftc.arm import plant as arm
+from jaxftc.compile import jit
+from jaxftc.config import Config
+from jaxftc.faults.sample import sample_scenarios
+from jaxftc.faults.scenario import Scenario, paper_scenario, take, trail
+from jaxftc.gains import Gains
+from jaxftc.monte_carlo import run
+from jaxftc.types import Measurement, Reference
+from tuning import transform
+from tuning.problem import Problem
+from tuning.terms import OBJECTIVE
+
+Array = np.ndarray
+NOISE, DRAW = 0, 1  # seeds
+
+
+class Starts(NamedTuple):
+    """Arms in motion under a held torque, all [n, B]."""
+
+    q: Array  # rad
+    qd: Array  # rad/s
+    tau: Array  # N m
+
+
+def starts(config: Config, batch: int) -> Starts:
+    """Near the holding torque, so that arms move like arms and not like flails."""
+    draw, robot = np.random.default_rng(DRAW), config.robot
+    q, qd, push = (draw.uniform(-size, size, (robot.n, batch)) for size in (1.0, 0.5, 0.05))
+    q = q + robot.q_zero[:, None]
+    hold = np.asarray(arm.inverse_dynamics(robot, jnp.asarray(q), jnp.zeros_like(q), jnp.zeros_like(q)), float)
+    limit = np.where(np.isfinite(robot.torque_limit), robot.torque_limit, 1.0)
+    return Starts(*(x.astype(np.float32).astype(float) for x in (q, qd, hold + push * limit[:, None])))
+
+
+def over_cores(call: Callable[[Any], Any], pieces: Iterable[Any], cores: int) -> list[Any]:
+    """The same program on every piece, as many at a time as there are cores: what campaigns do."""
+    with ThreadPoolExecutor(cores) as pool:
+        return list(pool.map(call, pieces))
+
+
+def plant(config: Config, begin: Starts, width: int, cores: int) -> Callable[[], list[tuple[Array, Array]]]:
+    """Every (q, qd) [T, n, width] after each step, every arm with masses and friction of its own.
+
+    The factors are 1 and the Coulomb friction 0, as MuJoCo's model has it; the program does not know.
+    """
+    robot, own = config.robot, _smooth(config, width)
+
+    def block(plant: arm.Plant, q: jax.Array, qd: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def body(at: tuple[jax.Array, jax.Array], _: None) -> tuple[Any, Any]:
+            at = arm.advance(robot, config.engine, plant, *at, tau, config.dt)
+            return at, at
+
+        return jax.lax.scan(body, (q, qd), None, length=config.ticks)[1]
+
+    program, pieces = jit(block), _pieces(begin, width)
+    return lambda: over_cores(lambda piece: jax.block_until_ready(program(own, *piece)), pieces, cores)
+
+
+def dynamics(config: Config, begin: Starts, width: int, cores: int) -> Callable[[], Array]:
+    """Forward dynamics [B, n] of the same arms, once."""
+    own = _smooth(config, width)
+    program = jit(lambda q, qd, tau: arm.forward_dynamics(config.robot, q, qd, tau, config.engine, own))
+    pieces = _pieces(begin, width)
+    return lambda: np.concatenate(over_cores(lambda piece: np.asarray(program(*piece)), pieces, cores), axis=1).T
+
+
+def _smooth(config: Config, width: int) -> arm.Plant:
+    plant = arm.nominal_plant(config.robot)._replace(coulomb=jnp.zeros(config.n))
+    return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf[..., None], (*leaf.shape, width)) + 0.0, plant)
+
+
+def _pieces(begin: Starts, width: int) -> list[list[jax.Array]]:
+    return [[jnp.asarray(x[:, k : k + width], float) for x in begin] for k in range(0, begin.q.shape[1], width)]
+
+
+def drawn(config: Config, batch: int) -> Scenario:
+    """Scenarios of the preset ``standard``, leading axis, as NumPy arrays."""
+    return take(sample_scenarios(jax.random.key(DRAW), batch, config=config), slice(None))
+
+
+def loop(config: Config, gains: Gains, batch: int, lanes: int | None = None) -> Callable[[], Any]:
+    """The closed loop of ``batch`` scenarios, scored: what a campaign does between drawing and storing.
+
+    ``lanes`` is how many run side by side in one program; the library's own width if not given.
+    """
+    scenarios, backend = drawn(config, batch), jax.default_backend()
+
+    def call() -> Any:
+        own = run.LANES.copy()
+        if lanes is not None:
+            run.LANES[backend] = lanes
+        try:
+            return run.scores(config, gains, scenarios, jax.random.key(NOISE))
+        finally:
+            run.LANES.clear()
+            run.LANES.update(own)
+
+    return call
+
+
+def gradient(config: Config, gains: Gains, batch: int) -> Callable[[], tuple[Array, Array]]:
+    """Terms [terms, B] of the tuning objective, and a gradient of the loss a scenario [size, B]: one step of ``tune``."""
+    problem = Problem(config, OBJECTIVE, jax.random.key(NOISE), batch)
+    space = transform.space(config, gains, transform.select(config))
+    slope = jit(problem.slope(space, "reverse"))
+    theta, one, before = jnp.zeros(space.size), jnp.ones(()), jnp.zeros((len(OBJECTIVE), batch))
+    scenarios = trail(drawn(config, batch))
+    return lambda: jax.tree.map(np.asarray, slope(problem.key, theta, one, scenarios, before))
+
+
+def largest_program() -> int:
+    """Bytes that a program of this process sets aside beside arguments and results, over all devices; of the largest one."""
+    programs = jax.local_devices()[0].client.live_executables()
+    return max(p.get_compiled_memory_stats().temp_size_in_bytes * len(p.local_devices()) for p in programs)
+
+
+class Ticks(NamedTuple):
+    """Single ticks called from Python."""
+
+    microseconds: Array  # [calls]
+    torque: Array  # [T, n] N m, of the last lap
+    expected: Array  # [T, n] N m, from ``simulate``
+
+
+def tick(config: Config, gains: Gains, calls: int) -> Ticks:
+    """``step`` on one arm, called once a tick: NumPy readings in, NumPy torque out, the paper's motion again and again."""
+    scenario = paper_scenario("both", config)
+    trace = closed_loop.simulate(config, gains, scenario, jax.random.key(NOISE))
+    y, expected = (np.asarray(x) for x in (trace.y, trace.out.tau))
+    wanted = reference.cubic(scenario.q_start[:, None], scenario.q_goal[:, None], config.t_final, trace.t)
+    motion: Any = list(zip(*(np.asarray(x).T for x in wanted), strict=True))  # a (q, qd, qdd) a tick
+    hold = np.asarray(schemes.holding_torque(config, scenario.q_start))
+    blank = schemes.init(config, gains, scenario.q_start)
+    step = jit(schemes.step, static_argnums=0)
+    state, tau, torque, seconds = blank, hold, np.zeros_like(expected), []
+    for call in range(config.ticks + calls):  # one lap to warm up
+        k = call % config.ticks
+        if k == 0:
+            state, tau = blank, hold
+        reading: Any = (y[k], tau)
+        began = time.perf_counter()
+        state, out = step(config, gains, state, Reference(*motion[k]), Measurement(*reading))
+        tau = np.asarray(out.tau)
+        seconds.append(time.perf_counter() - began)
+        torque[k] = tau
+    return Ticks(1e6 * np.array(seconds[config.ticks :]), torque, expected)

@@ -1,0 +1,311 @@
+"""What XLA's CPU compiler is told of a program before it compiles it: where not to fuse, or to make one function of it.
+
+Large arrays: XLA turns a step of thousands of small operations into loops ("fusions") and draws the arithmetic of a value into
+every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for each of
+their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised. ``planned``
+counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute again, and on both
+sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it changes no number. CPU
+compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for each loop body and is good
+for one set of shapes.
+
+Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as one
+function, loops over time included.
+
+Nothing here knows robots.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+from jax import lax
+from jax.core import Tracer
+from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend.core import ClosedJaxpr, Literal
+
+STORE = 12_000.0  # element operations that storing a value and reading it back is worth, with the call of one more loop
+LONGEST = 300.0  # operations in one loop: longer ones run out of registers and compile slowly
+LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
+UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
+
+_INLINED = {"pjit", "jit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
+_FREE = {
+    "broadcast_in_dim",
+    "reshape",
+    "squeeze",
+    "expand_dims",
+    "slice",
+    "split",
+    "unstack",
+    "copy",
+    "convert_element_type",
+}
+_COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
+_COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
+_SUMS: dict[str, Callable[[Any, Any], Any]] = {
+    "reduce_sum": lax.add,
+    "reduce_prod": lax.mul,
+    "reduce_max": lax.max,
+    "reduce_min": lax.min,
+    "reduce_or": lax.bitwise_or,
+    "reduce_and": lax.bitwise_and,
+}
+_FUSED = {"add", "add_any", "sub", "mul", "neg", "sign", "abs", "floor", "ceil", "round", "max", "min", "clamp", "square"}
+_FUSED |= {
+    "integer_pow",
+    "select_n",
+    "eq",
+    "ne",
+    "lt",
+    "le",
+    "gt",
+    "ge",
+    "and",
+    "or",
+    "xor",
+    "not",
+    "is_finite",
+    "nextafter",
+}
+_FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "stop_gradient", "reduce_precision"}
+_FUSED |= _COST.keys() | _FREE | _SUMS.keys()
+_PLAIN = {
+    "scan",
+    "concatenate",
+    "stack",
+    "pad",
+    "iota",
+    "transpose",
+    "rev",
+    "dynamic_slice",
+    "dot_general",
+    "bitcast_convert_type",
+}
+_PLAIN |= {"random_bits", "random_fold_in", "random_wrap", "random_unwrap"} | _FUSED  # what can be part of one function
+
+
+class Step(NamedTuple):
+    """One operation of the flat program; values are numbered."""
+
+    primitive: Any
+    params: dict[str, Any]
+    inputs: tuple[Any, ...]  # numbers of values, or constants
+    outputs: tuple[int, ...]
+    size: int  # elements of the largest output
+    cost: float  # operations for each of them
+    stored: bool  # computed on its own, whatever is planned
+
+
+class Value(NamedTuple):
+    """A constant among the inputs of a step."""
+
+    value: Any
+
+
+class Program(NamedTuple):
+    """A program without calls: what runs, in order, and behind which steps there is a fence."""
+
+    inputs: tuple[int, ...]
+    steps: tuple[Step, ...]
+    outputs: tuple[Any, ...]
+    fenced: frozenset[int]
+    loops: dict[int, Program]  # bodies of the scans among the steps
+
+
+def planned(fun: Callable[..., Any]) -> Callable[..., Any]:
+    """``fun`` with fences; same arguments, same results. To be traced by ``jax.jit``: what is no tracer there is static."""
+    return _rewritten(fun, lambda traced, values: evaluate(plan(traced), values))
+
+
+def whole(fun: Callable[..., Any]) -> Callable[..., Any]:
+    """``fun`` as one function where that can be, and as it is where it cannot; otherwise like ``planned``."""
+
+    def run(traced: ClosedJaxpr, values: list[Any]) -> list[Any]:
+        program = plan(traced, fences=False)
+        if _extent(program) > LARGEST:
+            return evaluate(program, values)
+        with set_xla_metadata(xla_cpu_small_call="true"):
+            return jax.jit(lambda *inner: evaluate(program, inner))(*values)
+
+    return _rewritten(fun, run)
+
+
+def _rewritten(fun: Callable[..., Any], run: Callable[[ClosedJaxpr, list[Any]], list[Any]]) -> Callable[..., Any]:
+    @functools.wraps(fun)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        leaves, tree = jax.tree.flatten((args, kwargs))
+        traced = [k for k, leaf in enumerate(leaves) if isinstance(leaf, Tracer)]
+
+        def inner(*values: Any) -> Any:
+            filled = dict(enumerate(leaves)) | dict(zip(traced, values, strict=True))
+            args, kwargs = jax.tree.unflatten(tree, filled.values())
+            return fun(*args, **kwargs)
+
+        values = [leaves[k] for k in traced]
+        program, shape = jax.make_jaxpr(inner, return_shape=True)(*values)
+        return jax.tree.unflatten(jax.tree.structure(shape), run(program, values))
+
+    return call
+
+
+def plan(traced: ClosedJaxpr, *, fences: bool = True) -> Program:
+    """Flatten the program, leave out what nothing uses, and choose the fences."""
+    flat = _Flat(len(traced.jaxpr.invars))
+    inputs = tuple(range(flat.count))
+    outputs = tuple(flat.follow(traced, inputs))
+    used, kept = {x for x in outputs if isinstance(x, int)}, []
+    for step in reversed(flat.steps):
+        if used.intersection(step.outputs) or step.stored:
+            kept.append(step)
+            used.update(x for x in step.inputs if isinstance(x, int))
+    kept.reverse()
+    loops = {k: plan(step.params["jaxpr"], fences=fences) for k, step in enumerate(kept) if step.primitive.name == "scan"}
+    return Program(inputs, tuple(kept), outputs, frozenset(_fences(kept, outputs) if fences else ()), loops)
+
+
+def _extent(program: Program) -> float:
+    """Operations of a program with its loops; infinite where one cannot be part of one function."""
+    if any(step.primitive.name not in _PLAIN for step in program.steps):
+        return math.inf
+    return len(program.steps) + sum(map(_extent, program.loops.values()))
+
+
+class _Flat:
+    """A program while it is flattened: calls inlined, the same operation on the same values done once."""
+
+    def __init__(self, count: int) -> None:
+        self.count, self.steps, self.seen = count, [], {}  # values so far; steps; outputs of what was done
+
+    def follow(self, traced: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
+        """Append the program's steps; its outputs."""
+        jaxpr = traced.jaxpr
+        values = dict(zip(jaxpr.constvars, map(Value, traced.consts), strict=True)) | dict(
+            zip(jaxpr.invars, args, strict=True)
+        )
+
+        def read(variable: Any) -> Any:
+            return Value(variable.val) if isinstance(variable, Literal) else values[variable]
+
+        for eqn in jaxpr.eqns:
+            inputs = tuple(read(v) for v in eqn.invars)
+            if eqn.primitive.name in _INLINED:
+                inner = next(eqn.params[key] for key in ("jaxpr", "call_jaxpr", "fun_jaxpr") if key in eqn.params)
+                outputs = self.follow(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), inputs)
+            else:
+                outputs = self.append(eqn, inputs)
+            values |= zip(eqn.outvars, outputs, strict=True)
+        return [read(v) for v in jaxpr.outvars]
+
+    def append(self, eqn: Any, inputs: tuple[Any, ...]) -> Sequence[int]:
+        """Append an operation, unless it has been done; its outputs."""
+        name, params = eqn.primitive.name, eqn.params
+        stored, cost = name not in _FUSED, _COST.get(name, 0 if name in _FREE else 1)
+        if name in _SUMS:
+            shape = eqn.invars[0].aval.shape
+            stored, cost = not _leading(params["axes"], shape), math.prod(shape[axis] for axis in params["axes"]) - 1
+        key = None if stored else (name, str(params), tuple(x if isinstance(x, int) else str(x.value) for x in inputs))
+        if key is None or key not in self.seen:
+            outputs = range(self.count, self.count + len(eqn.outvars))
+            size = max((math.prod(getattr(v.aval, "shape", ())) for v in eqn.outvars), default=0)
+            self.steps.append(Step(eqn.primitive, params, inputs, tuple(outputs), size, cost, stored))
+            self.count += len(outputs)
+            self.seen[key] = outputs
+            return outputs
+        return self.seen[key]
+
+
+def _fences(steps: Sequence[Step], outputs: Sequence[Any]) -> set[int]:
+    """Positions of the steps with a fence behind them.
+
+    ``loops`` are the loops that a value would be drawn into: the fenced steps that use it, directly or through others.
+    """
+    maker = {output: k for k, step in enumerate(steps) for output in step.outputs}
+    makers = [{maker[x] for x in step.inputs if isinstance(x, int) and x in maker} for step in steps]
+    users: list[set[int]] = [set() for _ in steps]
+    for k, some in enumerate(makers):
+        for j in some:
+            users[j].add(k)
+    returned = {maker[x] for x in outputs if isinstance(x, int) and x in maker}
+    stored = [step.stored for step in steps]
+    free = [step.primitive.name in _FREE for step in steps]
+
+    readers: list[set[int]] = [set() for _ in steps]  # users behind views of the value; itself if it is a result
+    for k in reversed(range(len(steps))):
+        readers[k] = {k} if k in returned else set()
+        for user in users[k]:
+            readers[k] |= readers[user] if free[user] else {user}
+
+    cone = [0.0] * len(steps)  # operations that the value takes from what is stored
+    fenced = set()
+    for k, step in enumerate(steps):
+        cone[k] = step.cost + sum(0.5 if j in fenced or stored[j] else cone[j] for j in makers[k])
+        if stored[k] or free[k]:
+            continue
+        repeated = (len(readers[k]) - 1) * cone[k] * step.size
+        joined = any(stored[reader] for reader in readers[k])
+        if repeated > STORE or cone[k] > LONGEST or joined:
+            fenced.add(k)
+
+    loops: list[set[int]] = [set() for _ in steps]
+    for k in reversed(range(len(steps))):
+        loops[k] = {k} if k in returned else set()
+        for user in users[k]:
+            loops[k] |= {user} if user in fenced or stored[user] or user in returned else loops[user]
+        if k in fenced and len(loops[k]) == 1 and cone[k] <= LONGEST and not any(stored[u] for u in loops[k]):
+            fenced.discard(k)  # its readers all end in one loop, which computes it once
+    return fenced | {k for k, step in enumerate(steps) if step.primitive.name in ("concatenate", "stack")}
+
+
+def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
+    """The results of a program."""
+    values: dict[int, Any] = dict(zip(program.inputs, args, strict=True))
+
+    def read(x: Any) -> Any:
+        return x.value if isinstance(x, Value) else values[x]
+
+    for k, step in enumerate(program.steps):
+        given = [read(x) for x in step.inputs]
+        results = _scan(step.params, program.loops[k], given) if k in program.loops else _apply(step, given)
+        values |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
+    return [read(x) for x in program.outputs]
+
+
+def _apply(step: Step, inputs: list[Any]) -> list[Any]:
+    name, params = step.primitive.name, step.params
+    if name == "shard_map":
+        inner = plan(ClosedJaxpr(params["jaxpr"], ()))
+        spread = {key: params[key] for key in ("mesh", "in_specs", "out_specs", "check_vma")}
+        return jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs)
+    if name in _SUMS and not step.stored:
+        return [functools.reduce(_SUMS[name], _rows(inputs[0], params["axes"]))]
+    results = step.primitive.bind(*inputs, **params)
+    return list(results) if step.primitive.multiple_results else [results]
+
+
+def _scan(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any]:
+    consts, carried = params["num_consts"], params["num_carry"]
+
+    def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], list[Any]]:
+        results = evaluate(inner, [*inputs[:consts], *carry, *x])
+        return results[:carried], results[carried:]
+
+    carry, xs = inputs[consts : consts + carried], inputs[consts + carried :]
+    named = {key: params[key] for key in ("length", "reverse", "unroll")}
+    carry, ys = lax.scan(body, carry, xs, **named)
+    return [*carry, *ys]
+
+
+def _leading(axes: Sequence[int], shape: Sequence[int]) -> bool:
+    """True for a short sum that leaves the last axis alone."""
+    return len(shape) - 1 not in axes and 0 < math.prod(shape[axis] for axis in axes) <= UNROLLED
+
+
+def _rows(x: Any, axes: Sequence[int]) -> list[Any]:
+    rows = [x]
+    for axis in sorted(axes, reverse=True):
+        rows = [lax.squeeze(part, [axis]) for row in rows for part in lax.split(row, [1] * row.shape[axis], axis)]
+    return rows

@@ -1,0 +1,146 @@
+"""The plan: it changes no number, and puts fences where work would be repeated."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxftc
+from jaxftc import compile as compiling
+from jaxftc.closed_loop import watch
+from jaxftc.faults.scenario import trail
+from jaxftc.fusion import evaluate, plan, planned
+
+LANES = 64
+
+
+def fences(fun, *args):
+    """Number of fences in the plan of a function without loops."""
+    return len(plan(jax.make_jaxpr(fun)(*args)).fenced)
+
+
+def steps(fun, *args):
+    return [step.primitive.name for step in plan(jax.make_jaxpr(fun)(*args)).steps]
+
+
+@given(st.lists(st.tuples(st.sampled_from("+-*/tsjuc"), st.integers(0, 99), st.integers(0, 99)), min_size=1, max_size=40))
+def test_a_planned_program_gives_the_same_numbers(operations):
+    """Random programs of arithmetic, joins, splits and sums over the leading axis."""
+
+    def fun(x, y):
+        values = [x, y]
+        for name, i, j in operations:
+            a, b = values[i % len(values)], values[j % len(values)]
+            values.append(
+                {
+                    "+": lambda: a + b,
+                    "-": lambda: a - b,
+                    "*": lambda: jnp.tanh(a) * b,
+                    "/": lambda: a / (1 + b * b),
+                    "t": lambda: jnp.tanh(a),
+                    "s": lambda: jnp.sin(a) + a.sum(0),
+                    "j": lambda: jnp.stack([a[0] * b[1], b[0] + a[1], a[2]]),
+                    "u": lambda: jnp.maximum(a, b.max(0)),
+                    "c": lambda: jnp.where(a > b, a, 0.5 * b),
+                }[name]()
+            )
+        return values[-1], sum(values)
+
+    x, y = jnp.linspace(-1, 1, 3 * LANES).reshape(3, LANES), jnp.linspace(2, 0.1, 3 * LANES).reshape(3, LANES)
+    expected = fun(x, y)
+    for a, b in zip(evaluate(plan(jax.make_jaxpr(fun)(x, y)), [x, y]), expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
+
+
+def test_a_costly_value_with_many_readers_is_stored_and_a_cheap_one_is_not():
+    x = jnp.ones((6, 512))
+
+    def readers(value):
+        return [jnp.exp(value), jnp.exp(-value), jnp.exp(2 * value), jnp.exp(3 * value)]
+
+    assert fences(lambda x: readers(jnp.sin(x)), x) == 1
+    assert fences(lambda x: jnp.sin(x) * x, x) == 0
+    assert fences(lambda x: readers(x + 1), jnp.ones(8)) == 0
+
+
+def test_a_value_that_ends_in_one_loop_is_not_stored():
+    assert fences(lambda x: jnp.sin(x) * 2 + jnp.sin(x) * jnp.sin(x), jnp.ones((6, 512))) == 0
+
+
+def test_parts_of_a_joined_array_are_stored_and_so_is_the_array():
+    x = jnp.ones((2, 512))
+    assert fences(lambda x: jnp.stack([x[0] * x[1], x[0] + x[1]]) * 2, x) == 3
+
+
+def test_what_nothing_uses_is_left_out_and_the_same_operation_is_done_once():
+    x = jnp.ones((2, 512))
+    assert "sin" not in steps(lambda x: (jnp.sin(x), jnp.exp(x))[1], x)
+    assert steps(lambda x: jnp.sin(x) + jnp.sin(x), x).count("sin") == 1
+
+
+def test_loops_branches_calls_and_static_arguments_pass():
+    def fun(x, times, *, shift):
+        def body(carry, k):
+            carry = jax.lax.cond(k > 1, jnp.sin, jnp.cos, carry) + shift
+            return carry, carry.sum(0)
+
+        last, sums = jax.lax.scan(jax.checkpoint(body), x, jnp.arange(times), reverse=True)
+        return {
+            "last": jax.nn.softmax(last, axis=0),
+            "sums": sums,
+            "while": jax.lax.fori_loop(0, times, lambda i, v: v + i, x),
+        }
+
+    x = jnp.linspace(0, 1, 3 * LANES).reshape(3, LANES)
+    ours = jaxftc.jit(fun, static_argnums=1, static_argnames="shift")(x, 4, shift=0.5)
+    jax.tree.map(np.testing.assert_allclose, ours, fun(x, 4, shift=0.5))
+
+
+def test_the_closed_loop_is_the_same_with_and_without_a_plan(config):
+    """In double precision, on enough scenarios to need fences."""
+    gains, key = jaxftc.default_gains(config), jax.random.key(0)
+    scenarios = trail(jaxftc.sample_scenarios(jax.random.key(1), LANES, config=config))
+
+    def run(scenarios):
+        return watch(config, gains, scenarios, key, (), lambda seen, tick: (seen, (tick.q, tick.out.tau, tick.out.verdict)))[
+            1
+        ]
+
+    ours = jax.jit(planned(run), compiler_options=compiling.compiler_options())(scenarios)
+    theirs = jax.jit(run, compiler_options=compiling.compiler_options(small=True))(scenarios)
+    for a, b in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7)
+
+
+def test_gradients_are_the_same_with_and_without_a_plan(puma):
+    q = jnp.linspace(-1, 1, puma.n * LANES).reshape(puma.n, LANES)
+
+    def slope(q):
+        return jax.grad(lambda q: (jaxftc.forward_dynamics(puma, q, 0.5 * q, 10 * q, "chain") ** 2).sum())(q)
+
+    ours = jax.jit(planned(slope), compiler_options=compiling.compiler_options())(q)
+    theirs = jax.jit(slope, compiler_options=compiling.compiler_options(small=True))(q)
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+def test_programs_on_large_arrays_are_planned_and_small_ones_are_not(monkeypatch):
+    seen = []
+    monkeypatch.setattr(compiling, "planned", lambda fun: lambda *args: (seen.append(args[0].shape), fun(*args))[1])
+    double = compiling.jit(lambda x: 2 * x)
+    for shape in ((6,), (6, LANES)):
+        assert double(jnp.ones(shape)).shape == shape
+    assert seen == ([(6, LANES)] if jax.default_backend() == "cpu" else [])
+
+
+@pytest.mark.parametrize("small", [False, True])
+def test_an_option_that_xla_does_not_know_is_left_out(monkeypatch, small):
+    for name in ("_WHOLE", "_PLANNED"):
+        monkeypatch.setattr(compiling, name, {"xla_no_such_option": True})
+    compiling.compiler_options.cache_clear()
+    try:
+        assert compiling.compiler_options(small=small) == {}
+        assert compiling.jit(jnp.sin)(jnp.ones((6, LANES))).shape == (6, LANES)
+    finally:
+        compiling.compiler_options.cache_clear()
