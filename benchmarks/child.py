@@ -43,6 +43,8 @@ def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
     if task.what == "mjx":
         arms, begin = mjx_default.Plant(config.robot, config.dt, config.ticks), workloads.starts(config, task.batch)
         return lambda: [np.asarray(x).T.tolist() for x in arms(*begin)]
+    if task.what == "tick":
+        return lambda: _ticks(config, gains, task.batch)
     gradient = workloads.gradient(config, gains, task.batch)
 
     def summary() -> dict[str, Any]:
@@ -51,6 +53,15 @@ def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
         return {"finite": finite, "terms": terms.mean(1).tolist(), "slope": slopes.mean(1).tolist()}
 
     return summary
+
+
+def _ticks(config: Config, gains: Any, calls: int) -> dict[str, float]:
+    """Percentiles of single ticks, microseconds, and how far their torque is from ``simulate``'s, over its limit."""
+    done = workloads.tick(config, gains, calls)
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    shares = zip(("tick_p50_us", "tick_p99_us", "tick_p999_us"), (50, 99, 99.9), strict=True)
+    percentiles = {key: float(np.percentile(done.microseconds, share)) for key, share in shares}
+    return percentiles | {"error": float(np.abs((done.torque - done.expected) / limit).max())}
 
 
 def _peak() -> int:

@@ -59,7 +59,7 @@ METRICS = (
     ),
     *_of(
         "tick",
-        ("tick_p50_us", "us", LOWER, "one tick called from Python, NumPy in and out, median"),
+        ("tick_p50_us", "us", LOWER, "one tick by jaxftc.Tick called from Python, NumPy in and out, median"),
         ("tick_p99_us", "us", LOWER, "99 % of ticks are faster"),
         ("tick_p999_us", "us", LOWER, "99.9 % of ticks are faster"),
     ),

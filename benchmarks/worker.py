@@ -20,13 +20,13 @@ from jaxftc.cli import common
 class Task:
     """What the child is to time."""
 
-    what: Literal["loop", "gradient", "mjx"]
+    what: Literal["loop", "gradient", "mjx", "tick"]
     robot: str = "puma560"
     coulomb: bool = True
     gains: str | None = None
     engine: Literal["mjx", "chain"] = "chain"
     duration: float | None = None  # s
-    batch: int = 128
+    batch: int = 128  # scenarios; of ticks, calls
     cores: int | None = None  # it may use; all if None
 
 
@@ -110,6 +110,10 @@ def main(task: Task) -> None:
         engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
     )
     common.prepare(options, every_core=task.what == "gradient")  # as `jaxftc tune` does
+    if task.what == "tick":  # as a control loop does, see jaxftc.Tick
+        import jax
+
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
     from benchmarks import child
 
     child.serve(task, options)

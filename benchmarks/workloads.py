@@ -19,6 +19,7 @@ from jaxftc.faults.sample import sample_scenarios
 from jaxftc.faults.scenario import Scenario, paper_scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.monte_carlo import run
+from jaxftc.tick import Tick
 from jaxftc.types import Measurement, Reference
 from tuning import transform
 from tuning.problem import Problem
@@ -137,15 +138,15 @@ class Ticks(NamedTuple):
 
 
 def tick(config: Config, gains: Gains, calls: int) -> Ticks:
-    """``step`` on one arm, called once a tick: NumPy readings in, NumPy torque out, the paper's motion again and again."""
+    """``jaxftc.Tick`` on one arm, called once a tick: NumPy in, NumPy out, the paper's motion again and again."""
     scenario = paper_scenario("both", config)
     trace = closed_loop.simulate(config, gains, scenario, jax.random.key(NOISE))
     y, expected = (np.asarray(x) for x in (trace.y, trace.out.tau))
     wanted = reference.cubic(scenario.q_start[:, None], scenario.q_goal[:, None], config.t_final, trace.t)
     motion: Any = list(zip(*(np.asarray(x).T for x in wanted), strict=True))  # a (q, qd, qdd) a tick
     hold = np.asarray(schemes.holding_torque(config, scenario.q_start))
-    blank = schemes.init(config, gains, scenario.q_start)
-    step = jit(schemes.step, static_argnums=0)
+    compiled = Tick(config, gains)
+    blank = compiled.init(np.asarray(scenario.q_start))
     state, tau, torque, seconds = blank, hold, np.zeros_like(expected), []
     for call in range(config.ticks + calls):  # one lap to warm up
         k = call % config.ticks
@@ -153,8 +154,8 @@ def tick(config: Config, gains: Gains, calls: int) -> Ticks:
             state, tau = blank, hold
         reading: Any = (y[k], tau)
         began = time.perf_counter()
-        state, out = step(config, gains, state, Reference(*motion[k]), Measurement(*reading))
-        tau = np.asarray(out.tau)
+        state, out = compiled.step(state, Reference(*motion[k]), Measurement(*reading))
+        tau = out.tau
         seconds.append(time.perf_counter() - began)
         torque[k] = tau
     return Ticks(1e6 * np.array(seconds[config.ticks :]), torque, expected)

@@ -1,15 +1,15 @@
 """What XLA's CPU compiler is told of a program before it compiles it: where not to fuse, or to make one function of it.
 
-Large arrays: XLA turns a step of thousands of small operations into loops ("fusions") and draws the arithmetic of a value into
-every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for each of
-their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised. ``planned``
-counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute again, and on both
-sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it changes no number. CPU
-compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for each loop body and is good
-for one set of shapes.
+Large arrays: XLA turns a step of thousands of small operations into loops ("fusions") and draws the arithmetic of a value
+into every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for
+each of their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised.
+``planned`` counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute
+again, and on both sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it changes no
+number. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for each loop body
+and is good for one set of shapes.
 
-Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as one
-function, loops over time included.
+Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as
+one function, loops over time included.
 
 Nothing here knows robots.
 """
@@ -32,18 +32,9 @@ LONGEST = 300.0  # operations in one loop: longer ones run out of registers and 
 LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
 
-_INLINED = {"pjit", "jit", "closed_call", "core_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
-_FREE = {
-    "broadcast_in_dim",
-    "reshape",
-    "squeeze",
-    "expand_dims",
-    "slice",
-    "split",
-    "unstack",
-    "copy",
-    "convert_element_type",
-}
+_INLINED = {"pjit", "jit", "closed_call", "core_call", "checkpoint", "remat", "custom_jvp_call", "custom_vjp_call"}
+_FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
+_FREE |= {"unstack"}
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
 _SUMS: dict[str, Callable[[Any, Any], Any]] = {
@@ -55,37 +46,18 @@ _SUMS: dict[str, Callable[[Any, Any], Any]] = {
     "reduce_and": lax.bitwise_and,
 }
 _FUSED = {"add", "add_any", "sub", "mul", "neg", "sign", "abs", "floor", "ceil", "round", "max", "min", "clamp", "square"}
-_FUSED |= {
-    "integer_pow",
-    "select_n",
-    "eq",
-    "ne",
-    "lt",
-    "le",
-    "gt",
-    "ge",
-    "and",
-    "or",
-    "xor",
-    "not",
-    "is_finite",
-    "nextafter",
-}
-_FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "stop_gradient", "reduce_precision"}
+_FUSED |= {"integer_pow", "select_n", "eq", "ne", "lt", "le", "gt", "ge", "and", "or", "xor", "not", "is_finite"}
+_FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "reduce_precision", "nextafter"}
 _FUSED |= _COST.keys() | _FREE | _SUMS.keys()
-_PLAIN = {
-    "scan",
-    "concatenate",
-    "stack",
-    "pad",
-    "iota",
-    "transpose",
-    "rev",
-    "dynamic_slice",
-    "dot_general",
+# What can be part of one function.
+_PLAIN = {"scan", "concatenate", "stack", "pad", "iota", "transpose", "rev", "dynamic_slice", "dot_general"} | _FUSED
+_PLAIN |= {
     "bitcast_convert_type",
-}
-_PLAIN |= {"random_bits", "random_fold_in", "random_wrap", "random_unwrap"} | _FUSED  # what can be part of one function
+    "random_bits",
+    "random_fold_in",
+    "random_wrap",
+    "random_unwrap",
+}  # one function can hold it
 
 
 class Step(NamedTuple):
@@ -279,7 +251,7 @@ def _apply(step: Step, inputs: list[Any]) -> list[Any]:
     if name == "shard_map":
         inner = plan(ClosedJaxpr(params["jaxpr"], ()))
         spread = {key: params[key] for key in ("mesh", "in_specs", "out_specs", "check_vma")}
-        return jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs)
+        return list(jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs))
     if name in _SUMS and not step.stored:
         return [functools.reduce(_SUMS[name], _rows(inputs[0], params["axes"]))]
     results = step.primitive.bind(*inputs, **params)

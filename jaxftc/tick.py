@@ -1,7 +1,7 @@
 """One tick for a control loop that is written in Python: NumPy in, NumPy out, and as little between as can be.
 
-A compiled program takes a microsecond for each array that it is given or gives back, and ``step`` has a hundred of them. Here
-the gains are part of the program, the state is one array, and so is what comes back.
+A compiled program takes a microsecond for each array that it is given or gives back, and ``step`` has a hundred of them.
+Here the gains are part of the program, the state is one array, and so is what comes back.
 """
 
 from __future__ import annotations
