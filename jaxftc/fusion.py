@@ -4,9 +4,9 @@ Large arrays: XLA turns a step of thousands of small operations into loops ("fus
 into every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for
 each of their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised.
 ``planned`` counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute
-again, and on both sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it changes no
-number. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for each loop body
-and is good for one set of shapes.
+again, and on both sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it
+changes no number. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for
+each loop body and is good for one set of shapes.
 
 Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as
 one function, loops over time included.
@@ -49,15 +49,9 @@ _FUSED = {"add", "add_any", "sub", "mul", "neg", "sign", "abs", "floor", "ceil",
 _FUSED |= {"integer_pow", "select_n", "eq", "ne", "lt", "le", "gt", "ge", "and", "or", "xor", "not", "is_finite"}
 _FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "reduce_precision", "nextafter"}
 _FUSED |= _COST.keys() | _FREE | _SUMS.keys()
-# What can be part of one function.
+# What one function can hold.
 _PLAIN = {"scan", "concatenate", "stack", "pad", "iota", "transpose", "rev", "dynamic_slice", "dot_general"} | _FUSED
-_PLAIN |= {
-    "bitcast_convert_type",
-    "random_bits",
-    "random_fold_in",
-    "random_wrap",
-    "random_unwrap",
-}  # one function can hold it
+_PLAIN |= {"bitcast_convert_type", "random_bits", "random_fold_in", "random_wrap", "random_unwrap"}
 
 
 class Step(NamedTuple):
