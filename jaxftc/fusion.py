@@ -22,6 +22,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
+import numpy as np
 from jax import lax
 from jax.core import Tracer
 from jax.experimental.xla_metadata import set_xla_metadata
@@ -32,9 +33,9 @@ LONGEST = 300.0  # operations in one loop: longer ones run out of registers and 
 LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
 
-_INLINED = {"pjit", "jit", "closed_call", "core_call", "checkpoint", "remat", "custom_jvp_call", "custom_vjp_call"}
+_INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
-_FREE |= {"unstack"}
+_FREE |= {"unstack", "stop_gradient"}
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
 _SUMS: dict[str, Callable[[Any, Any], Any]] = {
@@ -70,6 +71,13 @@ class Value(NamedTuple):
     """A constant among the inputs of a step."""
 
     value: Any
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """The same for the same number of the same type; arrays are the same only if they are one."""
+        if np.ndim(self.value):
+            return (id(self.value),)
+        return (np.result_type(self.value), str(self.value)) if hasattr(self.value, "dtype") else (type(self.value), self.value)
 
 
 class Program(NamedTuple):
@@ -173,7 +181,7 @@ class _Flat:
         if name in _SUMS:
             shape = eqn.invars[0].aval.shape
             stored, cost = not _leading(params["axes"], shape), math.prod(shape[axis] for axis in params["axes"]) - 1
-        key = None if stored else (name, str(params), tuple(x if isinstance(x, int) else str(x.value) for x in inputs))
+        key = None if stored else (name, str(params), tuple(x if isinstance(x, int) else x.key for x in inputs))
         if key is None or key not in self.seen:
             outputs = range(self.count, self.count + len(eqn.outvars))
             size = max((math.prod(getattr(v.aval, "shape", ())) for v in eqn.outvars), default=0)
