@@ -19,7 +19,7 @@ from jax.core import Tracer
 
 from jaxftc.fusion import planned, whole
 
-SMALL = 128  # elements
+SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
 _WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
 _PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
@@ -67,7 +67,7 @@ def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
 
 
 def _small(*values: object) -> bool:
-    return all(getattr(leaf, "size", 0) <= SMALL for leaf in jax.tree.leaves(values))
+    return all(leaf.size <= SMALL for leaf in jax.tree.leaves(values) if getattr(leaf, "ndim", 0) > 1)
 
 
 def is_tracing(*values: object) -> bool:

@@ -149,7 +149,7 @@ def each_gain(*, slow: tuple[str, ...]):
 TOLERANCE = {"rtol": 1e-4, "atol": 1e-9, "eps": 1e-4}
 
 
-@each_gain(slow=("chain-eso-esmc", "mjx-pi-smc"))
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
 def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]
@@ -169,7 +169,7 @@ def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     check_vjp(value, backward, (np.zeros(slope.size),), **TOLERANCE)
 
 
-@each_gain(slow=("chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
 def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]
@@ -187,6 +187,7 @@ def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
     check_jvp(value, along, (zero,), **TOLERANCE)
 
 
+@pytest.mark.slow
 def test_both_engines_have_the_same_gradient():
     """Twins: the same slopes through MuJoCo MJX and through the unrolled recursions."""
     mine, theirs = (programs(CASES[name]) for name in ("chain-ts-afesmc", "mjx-ts-afesmc"))
