@@ -77,7 +77,8 @@ class Value(NamedTuple):
         """The same for the same number of the same type; arrays are the same only if they are one."""
         if np.ndim(self.value):
             return (id(self.value),)
-        return (np.result_type(self.value), str(self.value)) if hasattr(self.value, "dtype") else (type(self.value), self.value)
+        kind = self.value.dtype if hasattr(self.value, "dtype") else type(self.value)
+        return kind, str(self.value)
 
 
 class Program(NamedTuple):
