@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+from benchmarks.machine import peak
 from benchmarks.results import Results, Setup, Table
 from benchmarks.worker import Failed
 
@@ -43,7 +44,7 @@ def python(arguments: list[str], folder: Path, cache: Path) -> Ran:
         err.seek(0)
         if child.returncode:
             raise Failed(f"python {' '.join(arguments)} ended with code {child.returncode}: {err.read()[-500:]}")
-        return Ran(seconds, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024), out.read())
+        return Ran(seconds, peak(usage), out.read())
 
 
 def _command(setup: Setup, words: list[str], cache: Path) -> Ran:

@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks import workloads
 from benchmarks.clock import timed
+from benchmarks.machine import peak
 from benchmarks.peers import mjx_default
 from benchmarks.worker import Task
 from jaxftc.cli import common
@@ -31,7 +32,7 @@ def serve(task: Task, options: common.Options) -> None:
             answer = {"bytes": workloads.largest_program()}
         else:
             seconds, value = timed(call)
-            answer = {"seconds": seconds, "value": value, "peak_bytes": _peak()}
+            answer = {"seconds": seconds, "value": value, "peak_bytes": peak(resource.getrusage(resource.RUSAGE_SELF))}
         print(json.dumps(answer), flush=True)
         word = sys.stdin.readline().strip()
 
@@ -62,8 +63,3 @@ def _ticks(config: Config, gains: Any, calls: int) -> dict[str, float]:
     shares = zip(("tick_p50_us", "tick_p99_us", "tick_p999_us"), (50, 99, 99.9), strict=True)
     percentiles = {key: float(np.percentile(done.microseconds, share)) for key, share in shares}
     return percentiles | {"error": float(np.abs((done.torque - done.expected) / limit).max())}
-
-
-def _peak() -> int:
-    """Largest resident memory so far, bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)

@@ -91,9 +91,10 @@ class Bench(common.Options):
 
         from tqdm import tqdm
 
-        from benchmarks import machine, speed, speed_page
+        from benchmarks import speed, speed_page
         from benchmarks.results import Failed, Setup
         from benchmarks.sizes import FULL, QUICK
+        from jaxftc.parallel import cores
 
         sizes = QUICK if self.quick else dataclasses.replace(FULL, campaigns=(FULL.campaigns[0], self.largest))
 
@@ -105,7 +106,7 @@ class Bench(common.Options):
 
         with tempfile.TemporaryDirectory() as scratch:
             try:
-                found = speed.run(Setup(self, sizes, machine.cores(), Path(scratch)), announced())
+                found = speed.run(Setup(self, sizes, cores(), Path(scratch)), announced())
             except Failed as failure:
                 raise SystemExit(f"jaxftc: {failure}") from failure
         return speed_page.as_dict(found, sizes, config), speed_page.as_text(found), speed_page.page(found)

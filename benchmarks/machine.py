@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import platform
+import resource
+import sys
 from typing import Any
 
 import jax
 import mujoco
 
+from jaxftc.parallel import cores
 from jaxftc.version import __version__
 
 
@@ -31,6 +33,6 @@ def describe() -> dict[str, Any]:
     }
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def peak(usage: resource.struct_rusage) -> int:
+    """Largest resident memory of a process, bytes; systems differ in the unit."""
+    return usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)

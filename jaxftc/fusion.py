@@ -88,7 +88,7 @@ class Program(NamedTuple):
     steps: tuple[Step, ...]
     outputs: tuple[Any, ...]
     fenced: frozenset[int]
-    loops: dict[int, Program]  # bodies of the scans among the steps
+    bodies: dict[int, Program]  # of the loops among the steps
 
 
 def planned(fun: Callable[..., Any]) -> Callable[..., Any]:
@@ -97,7 +97,7 @@ def planned(fun: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def whole(fun: Callable[..., Any]) -> Callable[..., Any]:
-    """``fun`` as one function where that can be, and as it is where it cannot; otherwise like ``planned``."""
+    """``fun`` as one function where that can be, and as it is where it cannot; used like ``planned``."""
 
     def run(traced: ClosedJaxpr, values: list[Any]) -> list[Any]:
         program = plan(traced, fences=False)
@@ -138,15 +138,19 @@ def plan(traced: ClosedJaxpr, *, fences: bool = True) -> Program:
             kept.append(step)
             used.update(x for x in step.inputs if isinstance(x, int))
     kept.reverse()
-    loops = {k: plan(step.params["jaxpr"], fences=fences) for k, step in enumerate(kept) if step.primitive.name == "scan"}
-    return Program(inputs, tuple(kept), outputs, frozenset(_fences(kept, outputs) if fences else ()), loops)
+    bodies = {}
+    for k, step in enumerate(kept):
+        if step.primitive.name in _BODIES:
+            inner = step.params["jaxpr"]
+            bodies[k] = plan(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), fences=fences)
+    return Program(inputs, tuple(kept), outputs, frozenset(_fences(kept, outputs) if fences else ()), bodies)
 
 
 def _extent(program: Program) -> float:
     """Operations of a program with its loops; infinite where one cannot be part of one function."""
     if any(step.primitive.name not in _PLAIN for step in program.steps):
         return math.inf
-    return len(program.steps) + sum(map(_extent, program.loops.values()))
+    return len(program.steps) + sum(map(_extent, program.bodies.values()))
 
 
 class _Flat:
@@ -158,9 +162,8 @@ class _Flat:
     def follow(self, traced: ClosedJaxpr, args: Sequence[Any]) -> list[Any]:
         """Append the program's steps; its outputs."""
         jaxpr = traced.jaxpr
-        values = dict(zip(jaxpr.constvars, map(Value, traced.consts), strict=True)) | dict(
-            zip(jaxpr.invars, args, strict=True)
-        )
+        values: dict[Any, Any] = dict(zip(jaxpr.constvars, map(Value, traced.consts), strict=True))
+        values |= zip(jaxpr.invars, args, strict=True)
 
         def read(variable: Any) -> Any:
             return Value(variable.val) if isinstance(variable, Literal) else values[variable]
@@ -244,17 +247,15 @@ def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
 
     for k, step in enumerate(program.steps):
         given = [read(x) for x in step.inputs]
-        results = _scan(step.params, program.loops[k], given) if k in program.loops else _apply(step, given)
+        results = _apply(step, given, program.bodies.get(k))
         values |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
     return [read(x) for x in program.outputs]
 
 
-def _apply(step: Step, inputs: list[Any]) -> list[Any]:
+def _apply(step: Step, inputs: list[Any], body: Program | None) -> list[Any]:
     name, params = step.primitive.name, step.params
-    if name == "shard_map":
-        inner = plan(ClosedJaxpr(params["jaxpr"], ()))
-        spread = {key: params[key] for key in ("mesh", "in_specs", "out_specs", "check_vma")}
-        return list(jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs))
+    if body is not None:
+        return _BODIES[name](params, body, inputs)
     if name in _SUMS and not step.stored:
         return [functools.reduce(_SUMS[name], _rows(inputs[0], params["axes"]))]
     results = step.primitive.bind(*inputs, **params)
@@ -272,6 +273,14 @@ def _scan(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any
     named = {key: params[key] for key in ("length", "reverse", "unroll")}
     carry, ys = lax.scan(body, carry, xs, **named)
     return [*carry, *ys]
+
+
+def _shard_map(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any]:
+    spread = {key: params[key] for key in ("mesh", "in_specs", "out_specs", "check_vma")}
+    return list(jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs))
+
+
+_BODIES = {"scan": _scan, "shard_map": _shard_map}  # what is planned inside, too
 
 
 def _leading(axes: Sequence[int], shape: Sequence[int]) -> bool:

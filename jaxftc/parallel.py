@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,11 @@ import numpy as np
 from jax.sharding import Mesh, PartitionSpec
 
 AXIS = "scenarios"
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def over_scenarios(fun: Callable[[Any, Any], Any], count: int) -> Callable[[Any, Any], Any]:

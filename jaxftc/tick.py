@@ -46,7 +46,7 @@ class Tick:
 
         self._signals = np.zeros((5, config.n), flat.dtype)
         self._step = ahead(step, flat, self._signals)
-        self._size = flat.shape
+        self._shape = flat.shape
 
     def init(self, q: np.ndarray) -> Array:
         """State [size] at rest in q [n] rad, holding the arm against gravity.
@@ -68,8 +68,8 @@ class Tick:
             if np.shape(signal) != shape:
                 self._one_arm(_NAMES[k], signal)
             signals[k] = signal
-        if state.shape != self._size:
-            raise ValueError(f"state must come from Tick.init, shape {list(self._size)}, got {list(state.shape)}")
+        if state.shape != self._shape:
+            raise ValueError(f"state must come from Tick.init, shape {list(self._shape)}, got {list(state.shape)}")
         state, rows = self._step(state, signals)
         out = Output(*np.asarray(rows))
         return state, out._replace(verdict=out.verdict.astype(np.int32), detected=out.detected[0] > 0)

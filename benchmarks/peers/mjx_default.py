@@ -17,7 +17,7 @@ class Plant:
     """Arms side by side under a held torque for some steps; the first call compiles."""
 
     def __init__(self, robot: Robot, dt: float, ticks: int) -> None:
-        mjx = door._mjx()  # the one file that imports it
+        mjx = door.module()  # the one file that imports it
         model, blank = mjx.put_model(timed_model(robot, dt)), mjx.make_data(timed_model(robot, dt))
 
         def one(q: jax.Array, qd: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -23,7 +23,7 @@ _IMPORT = threading.Lock()
 
 
 @functools.cache
-def _mjx() -> Any:
+def module() -> Any:
     """The module; its import prints about optional packages to stdout, where a command's JSON may be.
 
     Under a lock: two threads that redirect stdout at once can leave it redirected.
@@ -37,7 +37,7 @@ def _mjx() -> Any:
 def _model(robot: Robot, x64: bool) -> Any:
     """The compiled model on the device, in the precision that JAX has now; ``x64`` is only the cache's key."""
     with jax.ensure_compile_time_eval():
-        return _mjx().put_model(robot.mj_model), _mjx().make_data(robot.mj_model)
+        return module().put_model(robot.mj_model), module().make_data(robot.mj_model)
 
 
 def mass_and_bias(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array) -> tuple[Array, Array]:
@@ -56,7 +56,7 @@ def mass_and_bias(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array
 
 
 def _one_arm(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array) -> tuple[Array, Array]:
-    mjx = _mjx()
+    mjx = module()
     model, data = _model(robot, bool(jax.config.read("jax_enable_x64")))
     scale = jnp.concatenate([mass, jnp.ones(1, mass.dtype)])[robot.body_link]  # body -1, the base, reads the last
     is_payload = np.arange(robot.mj_model.nbody) == robot.mj_model.body(PAYLOAD).id

@@ -9,7 +9,6 @@ scenario, which costs nothing, so that a replay is the same program again.
 from __future__ import annotations
 
 import functools
-import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -27,6 +26,7 @@ from jaxftc.faults.sample import draw_all
 from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.monte_carlo import score, table
+from jaxftc.parallel import cores
 from jaxftc.types import Array
 
 LANES = {"cpu": 256}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
@@ -58,7 +58,7 @@ def scores(
         return jax.tree.map(np.asarray, program(key, gains, piece)[0])
 
     pieces, starts = [], range(0, count, width)
-    pool = ThreadPoolExecutor(_cores())
+    pool = ThreadPoolExecutor(_at_a_time())
     try:
         for first, piece in zip(starts, pool.map(block, starts), strict=True):
             pieces.append(piece)
@@ -121,8 +121,8 @@ def _width() -> int:
     return LANES.get(jax.default_backend(), MANY_LANES)
 
 
-def _cores() -> int:
+def _at_a_time() -> int:
     """Programs that run at a time: one a core on the CPU, two elsewhere so that the device never waits."""
     if jax.default_backend() != "cpu":
         return 2
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return cores()
