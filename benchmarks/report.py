@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import plotly.graph_objects as go
 
-from jaxftc.report import COLOURS, embed, finish, page
+from jaxftc.report.figures import COLOURS, finish
+from jaxftc.report.page import embed, page, table
 
 if TYPE_CHECKING:
     from benchmarks.curves import Curve
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def curves_page(curves: list[Curve], cost: float) -> str:
     """Held-out objective over simulations and over time, every seed a line."""
-    note = f"a line a seed; a gradient counts as {cost:.1f} simulations, measured; compilation apart"
+    note = f"A line a seed; a gradient counts as {cost:.1f} simulations, measured; compilation apart."
     return page(
         "jaxftc bench tuning",
         [
@@ -48,14 +49,16 @@ def _curves(curves: list[Curve], axis: str, title: str, note: str) -> go.Figure:
 
 def ranking_page(pairs: list[Pair], notes: dict[str, Any]) -> str:
     """Both rankings as a table."""
-    head = "<tr><th>ranking</th><th>condition</th><th>pair</th><th>median ratio, 95 %</th><th>n</th><th>result</th></tr>"
-    rows = "".join(
-        f"<tr><td>{p.ranking}</td><td>{p.condition}</td><td>{p.before.upper()} to {p.after.upper()}</td>"
-        f"<td>{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]</td><td>{p.n}</td>"
-        f"<td>{p.word}{f' ({100 * p.louder:.0f} % cannot be made to chatter alike)' if p.louder else ''}</td></tr>"
+    rows = [
+        (
+            *(p.ranking, p.condition, f"{p.before.upper()} to {p.after.upper()}"),
+            p.word + (f" ({100 * p.louder:.0f} % cannot be made to chatter alike)" if p.louder else ""),
+            *(f"{p.ratio.value:.3f} [{p.ratio.low:.3f}, {p.ratio.high:.3f}]", str(p.n)),
+        )
         for p in pairs
-    )
+    ]
+    head = ("ranking", "condition", "pair", "result", "median ratio, 95 %", "n")
     text = "".join(
         f"<li>{html.escape(name)}: {', '.join(f'{k} {v:.3f}' for k, v in note.items())}</li>" for name, note in notes.items()
     )
-    return page("jaxftc bench ranking", [f"<table>{head}{rows}</table><ul>{text}</ul>"])
+    return page("jaxftc bench ranking", [table(head, rows, text=4), f"<ul>{text}</ul>"])

@@ -12,8 +12,9 @@ from benchmarks.metrics import METRICS
 from benchmarks.results import Results, Table
 from benchmarks.sizes import Sizes
 from jaxftc.config import Config
-from jaxftc.report import COLOURS, embed
-from jaxftc.report import page as whole
+from jaxftc.report.figures import COLOURS, finish
+from jaxftc.report.page import embed, table
+from jaxftc.report.page import page as whole
 
 CURVES = {"batch": "scenarios", "horizon": "length of a run, s", "joints": "joints"}  # tables that are drawn too
 
@@ -65,10 +66,10 @@ def page(found: Results) -> str:
     """The same as a page, with curves of how the closed loop scales."""
     figures = [(m.key, m.about, m.unit, found.metrics[m.key]) for m in METRICS if m.key in found.metrics]
     sections = [_html(Table("Figures", ("figure", "what", "unit", "value"), figures))]
-    for name, table in found.tables.items():
-        sections.append(_html(table))
+    for name, one in found.tables.items():
+        sections.append(_html(one))
         if name in CURVES:
-            sections.append(embed(_curve(table, CURVES[name])))
+            sections.append(embed(_curve(one, CURVES[name])))
     checks = [(check.what, check.error, check.allowed) for check in found.checks]
     sections.append(_html(Table("Checks of what was timed", ("what", "off by", "allowed"), checks)))
     return whole("jaxftc bench speed", sections)
@@ -83,18 +84,18 @@ def _cell(value: object) -> str:
     return number(value) if isinstance(value, float) else f"{value:,}" if isinstance(value, int) else str(value)
 
 
-def _html(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(str(name))}</th>" for name in table.columns)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(_cell(v))}</td>" for v in row) + "</tr>" for row in table.rows)
-    return f"<h2>{html.escape(table.title)}</h2><table><tr>{head}</tr>{body}</table>"
+def _html(found: Table) -> str:
+    words = 1 + max((k for row in found.rows[:1] for k, value in enumerate(row) if isinstance(value, str)), default=0)
+    rows = [[_cell(value) for value in row] for row in found.rows]
+    return f"<h2>{html.escape(found.title)}</h2>" + table([str(name) for name in found.columns], rows, text=words)
 
 
-def _curve(table: Table, axis: str) -> go.Figure:
-    figure, columns = go.Figure(), list(zip(*table.rows, strict=True))
-    names = [(k, name) for k, name in enumerate(table.columns) if k and not name.startswith("compile")]
+def _curve(found: Table, axis: str) -> go.Figure:
+    figure, columns = go.Figure(), list(zip(*found.rows, strict=True))
+    names = [(k, name) for k, name in enumerate(found.columns) if k and not name.startswith("compile")]
     for colour, (k, name) in zip(COLOURS, names, strict=False):
         figure.add_scatter(x=columns[0], y=columns[k], name=name, mode="lines+markers", line_color=colour)
-    figure.update_layout(title_text=html.escape(table.title), template="plotly_white", height=420, showlegend=True)
+    finish(figure, found.title).update_layout(showlegend=True)
     figure.update_xaxes(title_text=axis, type="linear" if axis == "joints" else "log")
     figure.update_yaxes(title_text="scenario-steps/s", rangemode="tozero")
     return figure

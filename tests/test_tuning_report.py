@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxftc
+from jaxftc.report.figures import surface_figure
 from tuning import OBJECTIVE, Progress, Result, report
 
 
@@ -28,7 +29,7 @@ def test_gains_figure_shows_what_moved_and_only_that(config):
 
 def test_surface_figure_is_table_1(config):
     gains = jaxftc.default_gains(config)
-    before, _, after, _ = report.surface_figure(config, gains, gains).data
+    before, _, after, _ = surface_figure(config, {"before": gains, "after": gains}, "").data
     np.testing.assert_array_equal(before.z, after.z)
     corner = (
         before.z[0, 0],

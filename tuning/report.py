@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -11,16 +13,17 @@ from plotly.subplots import make_subplots
 from jaxftc import metrics
 from jaxftc.closed_loop import simulate
 from jaxftc.config import Config
-from jaxftc.control.gain import surface
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains, specs
-from jaxftc.report import COLOURS, embed, finish, page, shade
+from jaxftc.report.figures import COLOURS, TRUTH, Panel, by_joint, finish, shade, surface_figure
+from jaxftc.report.page import embed, page, table
 from tuning.held_out import Comparison
 from tuning.loop import Result
 from tuning.transform import idle
 
 WORST = 3  # scenarios shown
+SURFACE = "Factor on the switching gain, before and after"
 BEFORE, AFTER = COLOURS[1], COLOURS[0]
 
 
@@ -34,9 +37,12 @@ def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comp
         embed(gains_figure(config, start, result.gains)),
     ]
     if config.control == "afesmc":
-        sections += ["<h2>Table 1 as a surface, before and after</h2>", embed(surface_figure(config, start, result.gains))]
+        sections += [
+            "<h2>Table 1 as a surface, before and after</h2>",
+            embed(surface_figure(config, {"before": start, "after": result.gains}, SURFACE)),
+        ]
     sections += ["<h2>The worst scenarios after tuning</h2>", *worst_figures(config, start, result.gains, comparisons[0])]
-    return page("jaxftc tune", sections)
+    return page("jaxftc tune", sections, config.robot.joint_names)
 
 
 def _table(c: Comparison) -> str:
@@ -48,14 +54,12 @@ def _table(c: Comparison) -> str:
         for name, b, a in zip(c.names, c.before.mean(1), c.after.mean(1), strict=True)
         if b or a
     ]
-    cells = "".join(
-        f"<tr><td>{name}</td><td></td><td></td><td>{b:.4f}</td><td>{a:.4f}</td>"
-        f"<td class='{'no' if a > 1.1 * b else 'yes'}'>{r.value:.3f} [{r.low:.3f}, {r.high:.3f}]</td></tr>"
+    cells = [
+        (name, f"{b:.4f}", f"{a:.4f}", (f"{r.value:.3f} [{r.low:.3f}, {r.high:.3f}]", "no" if a > 1.1 * b else "yes"))
         for name, b, a, r in rows
-    )
-    head = "<tr><th>mean of term</th><th></th><th></th><th>before</th><th>after</th><th>ratio, 95 % interval</th></tr>"
+    ]
     lost = f"<p class='no'>diverged: {c.diverged[0]} to {c.diverged[1]} runs</p>" if any(c.diverged) else ""
-    return f"<h3>{html.escape(title)}</h3>{lost}<table>{head}{cells}</table>"
+    return f"<h3>{html.escape(title)}</h3>{lost}" + table(("mean of term", "before", "after", "ratio, 95 % interval"), cells)
 
 
 def loss_figure(result: Result) -> go.Figure:
@@ -73,9 +77,10 @@ def loss_figure(result: Result) -> go.Figure:
         figure.add_scatter(x=x, y=h[name], name=name[5:], line=line, row=2, col=1)
     figure.update_yaxes(title_text="loss", row=1, col=1)
     figure.update_yaxes(title_text="mean of term, last batch", row=2, col=1)
-    finish(figure, "Loss and its terms", "batches differ, so their curves are noisy; the validation set is always the same")
+    note = "Batches differ, so their curves are noisy; the validation set is always the same."
+    finish(figure, "Loss and its terms", note, panels=3)
     figure.layout["xaxis2"].title = "closed-loop simulations, a gradient counted as several"
-    return figure.update_layout(height=700)
+    return figure
 
 
 def gains_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
@@ -99,32 +104,12 @@ def gains_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
     figure.add_vline(x=1.0, line={"color": "#777", "dash": "dash"})
     figure.update_yaxes(autorange="reversed")
     finish(
-        figure, "Gain after over before", "a dot a joint or set; gains that were 0 or changed sign are in gains.toml only"
+        figure,
+        "Gain after over before",
+        "A dot a joint or set; hover for values. Gains that were 0 or changed sign are in gains.toml only.",
     )
     figure.update_xaxes(type="log", title_text="after / before")
     return figure.update_layout(height=220 + 22 * len(set(names)), showlegend=False)
-
-
-def surface_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
-    """alpha_online over joint position and sliding surface, the 7 x 7 rule base with its sets, as two maps on one scale."""
-    q, s = np.meshgrid(np.deg2rad(np.linspace(-110, 110, 56)), np.linspace(-1.2, 1.2, 49))
-    figure = make_subplots(1, 2, shared_yaxes=True, subplot_titles=("before", "after"), horizontal_spacing=0.06)
-    for column, gains in enumerate((before, after), start=1):
-        value = surface(config, gains, q, s)
-        figure.add_heatmap(
-            x=np.rad2deg(q[0]), y=s[:, 0], z=value, zmin=0, zmax=3, colorscale="Cividis", showscale=column == 2,
-            colorbar={"title": "alpha_online"}, row=1, col=column,
-        )  # fmt: skip
-        centres = [np.asarray(c, float) for c in (gains.control.q_centres, gains.control.s_centres)]
-        cq, cs = np.meshgrid(np.rad2deg(centres[0]), centres[1])
-        figure.add_scatter(
-            x=cq.ravel(), y=cs.ravel(), mode="markers", marker={"color": "#fff", "size": 5, "symbol": "cross"},
-            showlegend=False, hoverinfo="skip", row=1, col=column,
-        )  # fmt: skip
-    figure.update_yaxes(title_text="s, rad/s", row=1, col=1)
-    finish(figure, "Factor on the switching gain (joint 1's floor)", "crosses: centres of the sets")
-    figure.update_xaxes(title_text="joint position, deg")
-    return figure
 
 
 def worst_figures(config: Config, before: Gains, after: Gains, c: Comparison) -> list[str]:
@@ -143,26 +128,27 @@ def worst_figures(config: Config, before: Gains, after: Gains, c: Comparison) ->
 
 
 def _trace_figure(config: Config, columns: list[dict[str, np.ndarray]], scenario: Scenario, title: str) -> go.Figure:
-    """Before and after: tracking error, torque statistic over threshold, encoder fault and estimate, of a faulty joint."""
-    joint = int(np.argmax((scenario.fault_tau.kind > 0) | (scenario.fault_q.kind > 0)))
-    figure = make_subplots(3, 1, shared_xaxes=True, vertical_spacing=0.06)
-    for trace, name, colour in zip(columns, ("before", "after"), (BEFORE, AFTER), strict=True):
-        error = np.rad2deg(trace["q"][:, joint] - trace["q_ref"][:, joint])
-        ratio = np.abs(trace["statistic_tau"][:, joint]) / trace["threshold_tau"][:, joint]
-        look = {"name": name, "legendgroup": name, "line_color": colour}
-        figure.add_scatter(x=trace["t"], y=error, **look, row=1, col=1)
-        figure.add_scatter(x=trace["t"], y=ratio, showlegend=False, **look, row=2, col=1)
-        angle = np.rad2deg(trace["fault_q_hat"][:, joint])
-        figure.add_scatter(x=trace["t"], y=angle, showlegend=False, **look, row=3, col=1)
-    truth = np.rad2deg(columns[1]["fault_q"][:, joint])
-    black = {"name": "true encoder fault", "line": {"color": "#000", "dash": "dot"}}
-    figure.add_scatter(x=columns[1]["t"], y=truth, **black, row=3, col=1)
-    figure.add_hline(y=1.0, line={"dash": "dash", "color": "#777"}, row=2, col=1)  # pyright: ignore[reportArgumentType]
-    shade(figure, columns[1])
-    for row, text in enumerate(("tracking error, deg", "|S| / threshold, torque", "encoder fault, deg"), start=1):
-        figure.update_yaxes(title_text=text, row=row, col=1)
-    note = f"{config.robot.joint_names[joint]}; shaded: fault present"
-    return finish(figure, title, note).update_layout(height=620)
+    """Before and after: tracking error, torque statistic over its threshold, and both faults with their estimates."""
+    runs = dict(zip(("before", "after"), columns, strict=True))
+    look = {"before": {"color": BEFORE, "dash": "dash"}, "after": {"color": AFTER}}
+
+    def of(signal: Callable[[dict[str, np.ndarray]], np.ndarray]) -> dict[str, Any]:
+        return {name: (signal(trace), look[name]) for name, trace in runs.items()}
+
+    last = columns[-1]
+    panels = [
+        Panel("tracking error, deg", of(lambda trace: np.rad2deg(trace["q"] - trace["q_ref"]))),
+        Panel("S / threshold", of(lambda trace: trace["statistic_tau"] / trace["threshold_tau"]), np.ones(config.n)),
+        Panel("actuator fault, N m", {"true": (last["fault_tau"], TRUTH)} | of(lambda trace: trace["fault_tau_hat"])),
+        Panel(
+            "encoder fault, deg",
+            {"true": (np.rad2deg(last["fault_q"]), TRUTH)} | of(lambda trace: np.rad2deg(trace["fault_q_hat"])),
+        ),
+    ]
+    first = int(np.argmax((scenario.fault_tau.kind > 0) | (scenario.fault_q.kind > 0)))
+    figure = shade(by_joint(last["t"], panels, config.robot.joint_names), last)
+    note = f"{config.robot.joint_names[first]} shows first. Dashed grey: threshold; shaded: fault present."
+    return finish(figure, title, note, panels=4, first=first)
 
 
 def _describe(config: Config, scenario: Scenario) -> str:

@@ -21,7 +21,8 @@ class Demo(common.Options):
         common.prepare(self)
         from tqdm import tqdm
 
-        from jaxftc import Config, paper, report
+        from jaxftc import Config, paper
+        from jaxftc.report.demo import demo_page
 
         robot = common.load_arm(self)
         config = Config(robot, engine=self.engine)
@@ -30,7 +31,7 @@ class Demo(common.Options):
         with tqdm(total=9, desc="observers x controllers", unit="pair", leave=False) as bar:
             experiment = paper.run(config, gains, common.key(self), bar.update)
         text = common.write_json(folder / "result.json", paper.as_json(experiment))
-        write_text(folder / "report.html", report.demo_page(config, experiment))
+        write_text(folder / "report.html", demo_page(config, gains, experiment))
         common.say(self, table(experiment.rows))
         common.say(self, claims(experiment))
         common.say(self, f"\nWritten: {folder / 'report.html'}, {folder / 'result.json'}")
@@ -40,7 +41,7 @@ class Demo(common.Options):
 
 def table(rows: list[Row]) -> str:
     """The comparison table as text."""
-    from jaxftc.report import comparison
+    from jaxftc.report.demo import comparison
 
     head, units, cells = comparison(rows)
     lines = [head, units, *cells]

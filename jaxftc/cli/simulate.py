@@ -54,7 +54,8 @@ class Simulate(common.Options):
         if from_campaign != (self.id is not None):
             raise ValueError("--from and --id go together: a campaign's folder and one of its scenarios")
         common.prepare(self)
-        from jaxftc import metrics, report, trace_file
+        from jaxftc import metrics, trace_file
+        from jaxftc.report.figures import trace_page
 
         config, trace, title, more = self._again() if from_campaign else self._paper()
         diverged = from_campaign and more["row"]["diverged"]
@@ -65,7 +66,7 @@ class Simulate(common.Options):
         folder = common.make_folder(self, "simulate")
         trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
         text = common.write_json(folder / "result.json", result)
-        write_text(folder / "figures.html", report.trace_page(config, trace, title))
+        write_text(folder / "figures.html", trace_page(config, trace, title))
         common.say(self, f"{title}: the arm diverged" if diverged else table(title, result))
         if from_campaign:
             common.say(self, row_as_text(result))

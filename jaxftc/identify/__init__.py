@@ -33,6 +33,7 @@ from jaxftc.identify.multistep import Errors as Errors
 from jaxftc.identify.multistep import Size as Size
 from jaxftc.identify.multistep import errors as errors
 from jaxftc.identify.multistep import fit_multistep as fit_multistep
+from jaxftc.identify.multistep import predict as predict
 from jaxftc.identify.readout import features as features
 from jaxftc.identify.readout import regressors as regressors
 from jaxftc.identify.readout import with_kappa as with_kappa

@@ -14,8 +14,8 @@ from jaxftc.identify.readout import data, rounded, span, with_kappa
 def fit_batch(config: Config, gains: Gains, log: Log) -> Gains:
     """Gains whose read-out has the least one-step error on a log, with H_y(1) = 1 exactly; poles and other gains stay.
 
-    Per joint w = argmin |q - phi (origin + basis w)|^2, columns scaled to unit length. On a log without noise it finds the
-    exact model. Noise also sits in the regressors, where it biases the read-out: one-step and 50-step errors stay at the
+    Per joint ``w = argmin |q - phi (origin + basis w)|^2``, columns scaled to unit length. On a log without noise it finds
+    the exact model. Noise also sits in the regressors, where it biases the read-out: one-step and 50-step errors stay at the
     noise, but the free run does not (see ``fit_multistep``). And more Laguerre functions than the arm needs can fit one
     step to 1e-5 deg and explode in free run, so look at ``errors``, never at the one-step error alone.
 

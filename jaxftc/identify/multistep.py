@@ -61,10 +61,26 @@ def errors(config: Config, gains: Gains, log: Log) -> Errors:
     phi, q = data(config, gains, log, moving=False)
 
     def run(horizon: int) -> Size:
-        with jax.enable_x64(True):
-            return _size(_residual(config.order_a, _problem(gains, phi, q, horizon), jnp.asarray(flatten(gains.arx))))
+        return _size(_miss(config, gains, phi, q, horizon))
 
     return Errors(run(1), run(HORIZON), run(len(q)), _size(_extrapolate(q, 1) - q), _size(_extrapolate(q, HORIZON) - q))
+
+
+def predict(config: Config, gains: Gains, log: Log, horizon: int) -> np.ndarray:
+    """Angles [T, n] rad that a model predicts for a log, restarted from its readings every ``horizon`` ticks.
+
+    Raises:
+        ValueError: the log is refused (a joint may stand still here), a gain is not allowed, or horizon is below 1.
+    """
+    checks.integer("horizon", horizon, 1, "1 is one-step prediction, the length of the log is the free run")
+    phi, q = data(config, gains, log, moving=False)
+    return q + _miss(config, gains, phi, q, horizon)
+
+
+def _miss(config: Config, gains: Gains, phi: np.ndarray, q: np.ndarray, horizon: int) -> np.ndarray:
+    """Prediction minus reading [T, n] rad."""
+    with jax.enable_x64(True):
+        return np.asarray(_residual(config.order_a, _problem(gains, phi, q, horizon), jnp.asarray(flatten(gains.arx))))
 
 
 def fit_multistep(config: Config, gains: Gains, log: Log, horizon: int = HORIZON, steps: int = 60) -> Gains:

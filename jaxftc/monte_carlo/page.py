@@ -11,11 +11,13 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from jaxftc import metrics, report
+from jaxftc import metrics
 from jaxftc.closed_loop import Trace
 from jaxftc.config import Config
 from jaxftc.monte_carlo import versus
 from jaxftc.monte_carlo.summary import FAULTY, Table, by_kind
+from jaxftc.report.figures import COLOURS, finish, residual_figure
+from jaxftc.report.page import embed, page, table
 from jaxftc.types import VERDICTS
 
 
@@ -24,43 +26,43 @@ def campaign(
 ) -> str:
     """One scheme's page."""
     sections = [
-        _table([versus.HEAD, versus.UNITS, *versus.cells({result["scheme"]: result})]),
+        table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS),
         f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
         "<h2>What was true, what was said</h2>",
-        report.embed(confusion(result)),
+        embed(confusion(result)),
         "<h2>By kind of fault</h2>",
-        _table(_kinds(result)),
+        _kinds(result),
         "<h2>Detection delay</h2>",
-        report.embed(delays(rows)),
+        embed(delays(rows)),
         "<h2>Thresholds: false alarms against detection and delay</h2>",
         "<p>All thresholds times a scale, read off the statistics of the same runs; the second look and the fuzzy stage "
         "keep the thresholds that they ran with.</p>",
-        report.embed(trade_off({result["scheme"]: result})),
+        embed(trade_off({result["scheme"]: result})),
     ]
     for row, trace in worst:
         title = f"Scenario {row['scenario_id']}: {row['kind']} {row['fault_tau']} {row['fault_q']}".strip()
         command = f"jaxftc simulate --from {folder} --id {row['scenario_id']}"
         sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
         columns = metrics.columns(trace)
-        sections += [report.embed(report.residual_figure(config, columns, title, _shown(row)))]
-    return report.page(f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios", sections)
+        sections += [embed(residual_figure(config, columns, "Residuals", _shown(row)))]
+    return page(f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios", sections, config.robot.joint_names)
 
 
 def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) -> str:
     """All schemes of a comparison on one page."""
     text = versus.pairs_as_text(pairs)
     sections = [
-        _table([versus.HEAD, versus.UNITS, *versus.cells(found)]) + f"<p>{versus.NOTE}; * best of the column.</p>",
+        table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE}; * best of the column.</p>",
         *(f"<p>{html.escape(name)}: {versus.calibrated(result)}</p>" for name, result in found.items()),
         "<h2>Thresholds: false alarms against detection and delay</h2>",
-        report.embed(trade_off(found)),
-        f"<h2>Paired by scenario</h2><pre style='white-space:pre-wrap'>{html.escape(text.strip())}</pre>",
+        embed(trade_off(found)),
+        f"<h2>Paired by scenario</h2><pre>{html.escape(text.strip())}</pre>",
         "<h2>What was true, what was said</h2>",
-        *(f"<h3>{html.escape(name)}</h3>" + report.embed(confusion(result)) for name, result in found.items()),
+        *(f"<h3>{html.escape(name)}</h3>" + embed(confusion(result)) for name, result in found.items()),
         "<h2>By kind of fault</h2>",
-        *(f"<h3>{html.escape(name)}</h3>" + _table(_kinds(result)) for name, result in found.items()),
+        *(f"<h3>{html.escape(name)}</h3>" + _kinds(result) for name, result in found.items()),
     ]
-    return report.page(f"jaxftc campaign: {', '.join(found)}", sections)
+    return page(f"jaxftc campaign: {', '.join(found)}", sections)
 
 
 def confusion(result: dict[str, Any]) -> go.Figure:
@@ -72,8 +74,8 @@ def confusion(result: dict[str, Any]) -> go.Figure:
         go.Heatmap(z=shares, x=VERDICTS, y=VERDICTS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
     )
     figure.update_yaxes(autorange="reversed", title_text="true kind")
-    figure = report.finish(figure, "Verdict 60 ms after the alarm", "counts, and shares of the row; normal: no alarm")
-    return figure.update_xaxes(title_text="said").update_layout(height=440)
+    figure = finish(figure, "Verdict 60 ms after the alarm", "Counts, and shares of the row; normal: no alarm.")
+    return figure.update_xaxes(title_text="said")
 
 
 def delays(rows: Table) -> go.Figure:
@@ -85,14 +87,14 @@ def delays(rows: Table) -> go.Figure:
         step = max(1, len(found) // 400)  # no eye sees more
         shown = np.unique(np.r_[np.arange(0, len(found), step), len(found) - 1]) if len(found) else np.arange(0)
         points, level = found[shown], (shown + 1) / max(len(delay), 1)
-        dash = ("solid", "dash", "dot")[k // len(report.COLOURS) % 3]
+        dash = ("solid", "dash", "dot")[k // len(COLOURS) % 3]
         figure.add_scatter(
             x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
-            line={"shape": "hv", "color": report.COLOURS[k % len(report.COLOURS)], "dash": dash},
+            line={"shape": "hv", "color": COLOURS[k % len(COLOURS)], "dash": dash},
         )  # fmt: skip
     figure.update_yaxes(title_text="% of the faults found", range=[0, 101])
-    figure = report.finish(
-        figure, "Found within", "delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses"
+    figure = finish(
+        figure, "Found within", "Delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses."
     )
     return figure.update_xaxes(title_text="delay, ms", type="log")
 
@@ -105,8 +107,9 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
         least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
         alarms = [None if x is None else max(100 * x, least) for x in curve["false_alarm_runs"]]
         look: dict[str, Any] = {
-            "legendgroup": scheme, "mode": "lines+markers", "line_color": report.COLOURS[k % len(report.COLOURS)],
-            "customdata": curve["scale"], "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
+            "legendgroup": scheme, "mode": "lines+markers", "line_color": COLOURS[k % len(COLOURS)],
+            "marker": _ringed(curve["scale"]), "customdata": curve["scale"],
+            "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
         }  # fmt: skip
         for c, kind in enumerate(FAULTY, start=1):
             share = [None if x is None else 100 * x for x in curve["detection"][kind]]
@@ -115,36 +118,34 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
             figure.add_scatter(x=alarms, y=late, showlegend=False, **look, row=2, col=c)
     figure.update_yaxes(title_text="% found", row=1, col=1)
     figure.update_yaxes(title_text="median delay, ms", row=2, col=1)
-    figure = report.finish(
-        figure, "Each point is a scale of all thresholds", "a scale of 1 is what ran; no alarm at all is drawn as half a run"
-    )
+    note = "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run."
+    figure = finish(figure, "Each point is a scale of all thresholds", note, panels=3)
     figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
-    return figure.update_xaxes(type="log").update_layout(height=680, margin_t=110)
+    return figure.update_xaxes(type="log").update_layout(legend_y=1.06)
 
 
-def _kinds(result: dict[str, Any]) -> list[tuple[str, ...]]:
+def _ringed(scales: list[float]) -> dict[str, Any]:
+    """Markers of a curve over threshold scales: the scale 1 as a large ring."""
+    own = np.isclose(scales, 1.0)
+    return {"symbol": np.where(own, "circle-open", "circle"), "size": np.where(own, 13, 6), "line_width": 2}
+
+
+def _kinds(result: dict[str, Any]) -> str:
     head = ("fault", "n", "detected", "kind right", "joint right", "delay", "its 95 %", "isolated", "torque est.",
             "angle est.", "tracking")  # fmt: skip
     units = ("", "", "%", "% of det.", "% of det.", "median ms", "ms", "median ms", "rms N m", "rms deg", "rms deg")
-    lines = [head, units]
+    lines = []
     for name, part in result["by_kind"].items():
         bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
         shares = (_show(part[k], 100, 1) for k in ("detection", "isolation_kind", "isolation_joint"))
         errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
         delay, isolated = (_show(part[k], 1e3, 0, "missed") for k in ("delay_median_s", "isolated_median_s"))
         lines.append((name, str(part["n_faults"]), *shares, delay, bounds, isolated, *errors))
-    return lines
+    return table(head, lines, units=units)
 
 
 def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
     return absent if x is None else f"{factor * x:.{places}f}"
-
-
-def _table(lines: list[tuple[str, ...]]) -> str:
-    head, units, *body = lines
-    titles = "".join(f"<th>{html.escape(t)}<br>{html.escape(u)}</th>" for t, u in zip(head, units, strict=True))
-    rows = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in line) + "</tr>" for line in body)
-    return f"<table><tr>{titles}</tr>{rows}</table>"
 
 
 def _shown(row: dict[str, Any]) -> int:
