@@ -16,7 +16,7 @@ from jaxftc.closed_loop import Trace
 from jaxftc.config import Config
 from jaxftc.monte_carlo import versus
 from jaxftc.monte_carlo.summary import FAULTY, Table, by_kind
-from jaxftc.report.figures import COLOURS, finish, residual_figure
+from jaxftc.report.figures import COLOURS, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.types import VERDICTS
 
@@ -81,27 +81,31 @@ def confusion(result: dict[str, Any]) -> go.Figure:
 def delays(rows: Table) -> go.Figure:
     """Share of the faults found within a time, by kind."""
     figure = go.Figure()
+    last = 1e3 * max((x for x in rows["delay_s"] if math.isfinite(x)), default=0.0)
     for k, (name, part) in enumerate(by_kind(rows).items()):
         delay = np.sort(part["delay_s"])
         found = delay[np.isfinite(delay)] * 1e3
         step = max(1, len(found) // 400)  # no eye sees more
         shown = np.unique(np.r_[np.arange(0, len(found), step), len(found) - 1]) if len(found) else np.arange(0)
-        points, level = found[shown], (shown + 1) / max(len(delay), 1)
+        points = np.r_[found[shown], last]  # all curves end at the same time, those that are at 100 % at once included
+        level = np.r_[shown + 1, len(found)] / max(len(delay), 1)
         dash = ("solid", "dash", "dot")[k // len(COLOURS) % 3]
         figure.add_scatter(
             x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
             line={"shape": "hv", "color": COLOURS[k % len(COLOURS)], "dash": dash},
         )  # fmt: skip
-    figure.update_yaxes(title_text="% of the faults found", range=[0, 101])
+    figure.update_yaxes(title_text="% of the faults found", range=[0, 102])
     figure = finish(
         figure, "Found within", "Delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses."
     )
-    return figure.update_xaxes(title_text="delay, ms", type="log")
+    return figure.update_xaxes(LOGARITHMIC, title_text="delay, ms")
 
 
 def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
     """Detection and delay of each kind against the share of healthy runs with an alarm, over the threshold scale."""
-    figure = make_subplots(2, len(FAULTY), shared_xaxes=True, subplot_titles=[f"{kind} faults" for kind in FAULTY])
+    figure = make_subplots(
+        2, len(FAULTY), shared_xaxes=True, vertical_spacing=0.08, subplot_titles=[f"{kind} faults" for kind in FAULTY]
+    )
     for k, (scheme, result) in enumerate(found.items()):
         curve = result["roc"]
         least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
@@ -121,13 +125,17 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
     note = "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run."
     figure = finish(figure, "Each point is a scale of all thresholds", note, panels=3)
     figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
-    return figure.update_xaxes(type="log").update_layout(legend_y=1.06)
+    return figure.update_xaxes(LOGARITHMIC).update_layout(legend_y=1.06)
 
 
 def _ringed(scales: list[float]) -> dict[str, Any]:
     """Markers of a curve over threshold scales: the scale 1 as a large ring."""
     own = np.isclose(scales, 1.0)
-    return {"symbol": np.where(own, "circle-open", "circle"), "size": np.where(own, 13, 6), "line_width": 2}
+    return {
+        "symbol": np.where(own, "circle-open", "circle"),
+        "size": np.where(own, 13, 6),
+        "line": {"width": np.where(own, 2, 0)},
+    }
 
 
 def _kinds(result: dict[str, Any]) -> str:
@@ -165,7 +173,8 @@ def _fate(row: dict[str, Any]) -> str:
     where = ", ".join(f"{c} of joint {row[j]}" for c, j in (("actuator", "joint_tau"), ("encoder", "joint_q")) if row[j])
     size = "" if math.isnan(row["magnitude"]) else f", {row['magnitude']:.3g} {row['unit']}".rstrip(" 1")
     text = f"Fault of the {where}{size}, from {row['onset_s']:.3f} s: "
+    false = f"; false alarm at {row['false_alarm_s']:.3f} s" if row["false_alarm"] else ""
     if math.isinf(row["delay_s"]):
-        return text + "missed"
+        return f"{text}missed{false}"
     blamed = f"joint {row['joint_hat']} first" if row["joint_hat"] else "no joint"
-    return text + f"alarm after {1e3 * row['delay_s']:.0f} ms, 60 ms later said {row['kind_hat']}, {blamed}"
+    return f"{text}alarm after {1e3 * row['delay_s']:.0f} ms, 60 ms later said {row['kind_hat']}, {blamed}{false}"

@@ -19,6 +19,7 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0
 DASHES = ("solid", "dash", "dot", "dashdot")
 TRUTH: dict[str, Any] = {"color": "#000", "dash": "dot", "width": 2}
 LIMIT: dict[str, Any] = {"color": "#777", "dash": "dash", "width": 1.5}
+LOGARITHMIC: dict[str, Any] = {"type": "log", "tickvals": [m * 10.0**e for e in range(-4, 7) for m in (1, 2, 5)]}
 MOST = 2000  # points of a curve; no screen shows more
 PANEL = 210  # px, height of one of several panels
 
@@ -126,7 +127,7 @@ def finish(figure: go.Figure, title: str, note: str = "", *, panels: int = 1, **
         legend={"orientation": "h", "x": 0, "y": 1.01, "yanchor": "bottom"},
         meta={"title": title, "note": note} | meta,
     )
-    figure.update_yaxes(automargin=True, title_standoff=8)
+    figure.update_yaxes(automargin=True, title_standoff=8, exponentformat="e")
     figure.layout[list(figure.select_xaxes())[-1].plotly_name].title = "time, s"
     return figure
 

@@ -15,7 +15,18 @@ from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS
 from jaxftc.fuzzy.membership import shares
 from jaxftc.gains import Gains
-from jaxftc.report.figures import COLOURS, LIMIT, TRUTH, Panel, by_joint, finish, residual_figure, shade, together
+from jaxftc.report.figures import (
+    COLOURS,
+    LIMIT,
+    LOGARITHMIC,
+    TRUTH,
+    Panel,
+    by_joint,
+    finish,
+    residual_figure,
+    shade,
+    together,
+)
 
 if TYPE_CHECKING:
     from jaxftc.paper import Experiment
@@ -214,7 +225,7 @@ def _equal_chattering(experiment: Experiment) -> go.Figure:
     )
     figure = finish(figure, "Tracking error at equal chattering", note)
     figure.update_yaxes(dtick=1)
-    figure.update_xaxes(title_text="", type="log", dtick="D2")
+    figure.update_xaxes(LOGARITHMIC, title_text="")
     figure.update_xaxes(title_text="chattering, 1/s", col=2)
     return figure.update_layout(legend_y=1.1)
 
