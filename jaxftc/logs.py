@@ -102,7 +102,8 @@ def diagnose(config: Config, gains: Gains, log: Log) -> Output:
     dtype = gains.arx.xi_a.dtype
     reference = Reference(*(jnp.asarray(x, dtype) for x in motion))
     q, tau = jnp.asarray(log.q, dtype), jnp.asarray(log.tau, dtype)
-    return _diagnose(config, gains, reference, Measurement(q, jnp.concatenate([tau[:1], tau[:-1]])))
+    before = jnp.full_like(tau[:1], jnp.nan)  # unknown: the arm was at rest, held as the controller itself would hold it
+    return _diagnose(config, gains, reference, Measurement(q, jnp.concatenate([before, tau[:-1]])))
 
 
 def _diagnose(config: Config, gains: Gains, reference: Reference, measurement: Measurement) -> Output:

@@ -8,7 +8,9 @@ import pytest
 
 import jaxftc
 from jaxftc import logs
+from jaxftc.faults.scenario import paper_scenario
 from jaxftc.files import write_parquet
+from jaxftc.identify import from_trace
 from jaxftc.monte_carlo import calibrate as module
 from jaxftc.monte_carlo import run
 from jaxftc.monte_carlo.calibrate import (
@@ -145,6 +147,15 @@ def test_a_log_is_diagnosed_as_the_arm_was(logged):
     scale = np.abs(theirs).max(0)
     assert (np.abs(mine - theirs).max(0) < 0.5 * scale + 0.1).all()
     assert (np.abs(mine - theirs).mean(0) < 0.1 * scale + 0.02).all()
+
+
+def test_a_log_starts_without_a_push(paper_arm):
+    """The torque before the first reading is not known; taking the first one for it would be one."""
+    config = jaxftc.Config(paper_arm, engine="chain", duration=0.1)
+    gains = jaxftc.default_gains(config)
+    trace = jaxftc.simulate(config, gains, paper_scenario("healthy", config), jax.random.key(64))
+    out = logs.diagnose(config, gains, from_trace(trace))
+    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=0.1)
 
 
 def test_thresholds_from_logs(logged):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Callable
 from typing import Any
 
@@ -16,8 +15,9 @@ from jaxftc.config import Config
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains, specs
-from jaxftc.report.figures import COLOURS, TRUTH, Panel, by_joint, finish, shade, surface_figure
+from jaxftc.report.figures import COLOURS, LIMIT, LOGARITHMIC, TRUTH, Panel, by_joint, finish, shade, surface_figure
 from jaxftc.report.page import embed, page, table
+from jaxftc.statistics import Interval
 from tuning.held_out import Comparison
 from tuning.loop import Result
 from tuning.transform import idle
@@ -25,12 +25,16 @@ from tuning.transform import idle
 WORST = 3  # scenarios shown
 SURFACE = "Factor on the switching gain, before and after"
 BEFORE, AFTER = COLOURS[1], COLOURS[0]
+SYMBOLS = ("circle", "square", "diamond", "triangle-up")
+LEAST = 0.01  # smallest ratio drawn
 
 
 def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comparison]) -> str:
     """The whole page; the worst scenarios are simulated again for it."""
     sections = [
-        "<h2>Held out</h2>" + "".join(_table(c) for c in comparisons),
+        "<h2>Held out</h2>",
+        embed(held_out_figure(comparisons)),
+        *(_table(c) for c in comparisons),
         "<h2>How the loss fell</h2>",
         embed(loss_figure(result)),
         "<h2>Gains, before and after</h2>",
@@ -45,21 +49,47 @@ def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comp
     return page("jaxftc tune", sections, config.robot.joint_names)
 
 
-def _table(c: Comparison) -> str:
-    before, after = c.objective
-    title = f"{c.preset}, {c.sign} sgn, {c.before.shape[1]} scenarios"
-    rows = [("objective", before, after, c.ratio)]
-    rows += [
-        (name, b, a, c.term_ratio(name))
+def held_out_figure(comparisons: list[Comparison]) -> go.Figure:
+    """Every term after tuning over before, with its interval, for each preset and sgn."""
+    figure = go.Figure()
+    for k, c in enumerate(comparisons):
+        rows = _ratios(c)[::-1]
+        mean, low, high = (np.array([getattr(ratio, side) for *_, ratio in rows]) for side in ("value", "low", "high"))
+        figure.add_scatter(
+            x=np.maximum(mean, LEAST), y=[name for name, *_ in rows], name=_name(c), mode="markers",
+            orientation="h", offsetgroup=str(k),
+            marker={"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 9},
+            error_x={"array": high - mean, "arrayminus": mean - np.maximum(low, LEAST), "thickness": 1.5, "width": 3},
+        )  # fmt: skip
+    figure.add_vline(x=1.0, line=LIMIT)  # pyright: ignore[reportArgumentType]
+    note = f"Left of the dashed line is better. Bars: 95 % intervals over scenarios. Below {LEAST:g} is drawn at {LEAST:g}."
+    finish(figure, "What tuning changed on scenarios it never saw", note, panels=3)
+    figure.update_layout(scattermode="group", scattergap=0.4)
+    return figure.update_xaxes(LOGARITHMIC, title_text="mean after tuning / mean before")
+
+
+def _ratios(c: Comparison) -> list[tuple[str, float, float, Interval]]:
+    """Name, before, after and ratio of the objective and of every term that is not 0 throughout."""
+    rows = [
+        (name, float(b), float(a), c.term_ratio(name))
         for name, b, a in zip(c.names, c.before.mean(1), c.after.mean(1), strict=True)
         if b or a
     ]
+    return [("objective", *c.objective, c.ratio), *rows]
+
+
+def _name(c: Comparison) -> str:
+    return f"{c.preset}, {c.sign} sgn"
+
+
+def _table(c: Comparison) -> str:
     cells = [
         (name, f"{b:.4f}", f"{a:.4f}", (f"{r.value:.3f} [{r.low:.3f}, {r.high:.3f}]", "no" if a > 1.1 * b else "yes"))
-        for name, b, a, r in rows
+        for name, b, a, r in _ratios(c)
     ]
     lost = f"<p class='no'>diverged: {c.diverged[0]} to {c.diverged[1]} runs</p>" if any(c.diverged) else ""
-    return f"<h3>{html.escape(title)}</h3>{lost}" + table(("mean of term", "before", "after", "ratio, 95 % interval"), cells)
+    head = ("mean of term", "before", "after", "ratio, 95 % interval")
+    return f"<h3>{_name(c)}, {c.before.shape[1]} scenarios</h3>{lost}" + table(head, cells)
 
 
 def loss_figure(result: Result) -> go.Figure:

@@ -17,9 +17,10 @@ from jaxftc.cli.calibrate import Calibrate
 from jaxftc.cli.campaign import Campaign
 from jaxftc.cli.demo import Demo
 from jaxftc.cli.simulate import Simulate
+from jaxftc.cli.view import View
 from jaxftc.version import __version__
 
-COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate, "campaign": Campaign, "calibrate": Calibrate}
+COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate, "campaign": Campaign, "calibrate": Calibrate, "view": View}
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 
