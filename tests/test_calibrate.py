@@ -155,7 +155,7 @@ def test_a_log_starts_without_a_push(paper_arm):
     gains = jaxftc.default_gains(config)
     trace = jaxftc.simulate(config, gains, paper_scenario("healthy", config), jax.random.key(64))
     out = logs.diagnose(config, gains, from_trace(trace))
-    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=0.1)
+    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=0.5)
 
 
 def test_thresholds_from_logs(logged):
