@@ -139,6 +139,7 @@ def test_python_runs_and_prints_what_the_page_says(page, run, tmp_path):
         assert "[3 3 3 3 3 3]" in printed  # its comment says so
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(run, tmp_path):
     (expected,) = (block.text for block in blocks("tutorial.md") if block.language == "text")
     printed = run(tmp_path, str(ROOT / "docs" / "tutorial.py"))

@@ -414,7 +414,7 @@ def test_gif_keeps_its_length_and_its_colours(trace, backend, tmp_path, capsys):
         for frame in range(gif.n_frames):
             gif.seek(frame)
             lengths.append(gif.info["duration"])
-            shades |= {state for state in scene.COLOURS if has(np.asarray(gif.convert("RGB")), state)}
+            shades |= {state for state in scene.COLOURS if has(np.asarray(gif.convert("RGB")), state, 0)}
     assert len(lengths) == 15 and sum(lengths) == pytest.approx(1e3 * 15 / 30, abs=10)
     assert shades == set(scene.COLOURS)
     assert path.stat().st_size < 200_000

@@ -134,7 +134,10 @@ def test_what_it_was_told_explains_every_output(config, gains, run, replay, heal
             np.testing.assert_array_equal(mine, theirs, err_msg=name)
 
 
-@pytest.mark.parametrize("scheme", [scheme for scheme in SCHEMES if scheme != "cascade"])
+@pytest.mark.parametrize(
+    "scheme",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name == "ekf")) for name in SCHEMES if name != "cascade"],
+)
 def test_the_wall_stands_for_every_scheme(config, gains, healthy, scheme):
     """Outputs follow from the log alone, and from nothing that comes later; both kinds of fault at once."""
     config = dataclasses.replace(config, scheme=scheme)

@@ -114,9 +114,13 @@ def _gif(path: Path, frames: Iterable[Image], fps: float) -> None:
     """
     from PIL import Image
 
+    from jaxftc.view.scene import COLOURS
+
     pictures = list(frames)
     thumbs = [np.asarray(picture)[::4, ::4].reshape(-1, 3) for picture in pictures]  # a colour may be in few frames only
     palette = Image.fromarray(np.concatenate(thumbs)[None]).quantize(GIF_COLOURS)
+    states = [round(255 * part) for colour in COLOURS.values() for part in colour[:3]]  # too rare to be among those
+    palette.putpalette((palette.getpalette() or [])[: 3 * GIF_COLOURS] + states)
     first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     ends = np.round(100 / fps * np.arange(1, len(pictures) + 1))
     durations = [int(10 * step) for step in np.diff(ends, prepend=0)]  # ms
