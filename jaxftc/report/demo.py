@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import html
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from jaxftc.config import Config
+from jaxftc.faults.scenario import PAPER_ANGLE, PAPER_TORQUE, PAPER_WINDOW
 from jaxftc.fuzzy import rules
 from jaxftc.gains import Gains
 from jaxftc.report import diagram
@@ -44,11 +46,12 @@ def demo_page(config: Config, gains: Gains, experiment: Experiment) -> str:
 
 
 def _about(config: Config) -> str:
+    start, end = PAPER_WINDOW
     return (
         f"{config.robot.name}, {config.engine} engine, {config.ticks * config.dt:g} s at {1 / config.dt:g} Hz, one set of "
-        "gains for every run. Faults are on every joint at once, from 0.1 to 0.25 s: 5 N m of torque, 1.5 deg of the "
-        "encoder, or both. Angles of the arm are true ones unless called readings; verdicts come from readings and "
-        "commands alone."
+        f"gains for every run. Faults are on every joint at once, from {start:g} to {end:g} s: {PAPER_TORQUE:g} N m of "
+        f"torque, {math.degrees(PAPER_ANGLE):g} deg of the encoder, or both. Angles of the arm are true ones unless called "
+        "readings; verdicts come from readings and commands alone."
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +15,7 @@ from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS
 from jaxftc.fuzzy.membership import shares
 from jaxftc.gains import Gains
+from jaxftc.paper import WRONG, Experiment
 from jaxftc.report.figures import (
     COLOURS,
     LIMIT,
@@ -28,9 +29,6 @@ from jaxftc.report.figures import (
     together,
 )
 
-if TYPE_CHECKING:
-    from jaxftc.paper import Experiment
-
 Trace = dict[str, np.ndarray]
 OBSERVER_NAMES = {"pi": "PI", "eso": "PI + sliding mode (ESO)", "ts": "PI + sliding mode + T-S"}
 STAGES = {
@@ -39,14 +37,18 @@ STAGES = {
     "ts": "The fuzzy stage books the jump of the reading as encoder fault, which frees the torque estimate.",
 }
 RESIDUALS = {  # condition -> number, title, what it shows
-    "healthy": ("10", "Residuals without a fault", "What is left is encoder noise."),
-    "actuator": ("12", "Residuals under actuator faults", "The torque residual answers, the encoder channel stays still."),
+    "healthy": ("10", "Residuals without a fault", "To be seen: what encoder noise leaves."),
+    "actuator": ("12", "Residuals under actuator faults", "To be seen: only the torque residual answers."),
     "sensor": (
         "13",
         "Residuals under encoder faults",
-        "The encoder channel takes the jump, the torque residual stays small.",
+        "To be seen: only the encoder channel answers.",
     ),
-    "both": ("14", "Residuals under actuator and encoder faults at once", "Each channel answers to its own fault."),
+    "both": (
+        "14",
+        "Residuals under actuator and encoder faults at once",
+        "To be seen: each channel answers to its own fault.",
+    ),
 }
 
 
@@ -147,10 +149,8 @@ def _wrong_thresholds(config: Config, wrong: list[Trace]) -> go.Figure:
                 line={"color": "#a33", "width": 5}, legendgroup="alarm", showlegend=row == 1, meta={"joint": j},
                 row=row, col=1,
             )  # fmt: skip
-    note = (
-        "Above, a tenth of the threshold on the healthy arm: false alarms. Below, three times the threshold with 5 N m of "
-        "actuator fault: nothing is found. Red: alarm."
-    )
+    (_, little), (_, much) = WRONG
+    note = f"Above: thresholds times {little:g}, no fault. Below: thresholds times {much:g}, actuator fault. Red: alarm."
     return finish(figure, "Wrong thresholds", note, panels=2, together=False)
 
 
