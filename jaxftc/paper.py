@@ -197,7 +197,7 @@ def _comparisons(curves: dict[str, np.ndarray]) -> Iterator[Comparison]:
                 after,
                 SEEDS,
                 chattering=float(level.mean()),
-                louder=bool(read[before][:, 0].mean() > 1.02 * read[after][:, 0].mean()),
+                louder=bool(read[before][:, 0].mean() > 1.02 * level.mean()),
                 before_deg=error[before],
                 after_deg=error[after],
                 change=(float(mean), float(low), float(high)),

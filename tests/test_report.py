@@ -148,8 +148,8 @@ def test_curves_are_the_traces(browser, report, experiment):
     held = tab.locator("#figure-12 .canvas").evaluate("(c) => c._fullData.map((t) => [t.name, t.meta.joint, [...t.y]])")
     for joint in range(6):
         torque, angle, _ = (y for name, j, y in held if j == joint and name == f"joint{joint + 1}")
-        np.testing.assert_allclose(torque, run["residual_tau"][:, joint], rtol=1e-6)
-        np.testing.assert_allclose(angle, np.rad2deg(run["fault_q_hat"][:, joint]), rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(torque, run["statistic_tau"][:, joint], rtol=1e-6)
+        np.testing.assert_allclose(angle, np.rad2deg(run["statistic_q"][:, joint]), rtol=1e-5, atol=1e-9)
         levels = [y[0] for name, j, y in held if j == joint and name == "threshold"]
         assert np.allclose(levels, [2.0, -2.0, 1.0, -1.0])
     ((start, end),) = tab.locator("#figure-12 .canvas").evaluate("(c) => [[c.layout.shapes[0].x0, c.layout.shapes[0].x1]]")

@@ -177,7 +177,7 @@ def _trace_figure(config: Config, columns: list[dict[str, np.ndarray]], scenario
     ]
     first = int(np.argmax((scenario.fault_tau.kind > 0) | (scenario.fault_q.kind > 0)))
     figure = shade(by_joint(last["t"], panels, config.robot.joint_names), last)
-    note = f"{config.robot.joint_names[first]} shows first. Dashed grey: threshold; shaded: fault present."
+    note = f"{config.robot.joint_names[first]} shows first. Dashed grey: threshold; shaded: a fault on any joint."
     return finish(figure, title, note, panels=4, first=first)
 
 

@@ -133,15 +133,23 @@ def finish(figure: go.Figure, title: str, note: str = "", *, panels: int = 1, **
 
 
 def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, shown: int | None = None) -> go.Figure:
-    """Both residual channels with thresholds, and verdicts; faults shaded; all joints, or ``shown`` until one is chosen."""
-    torque = Panel("torque residual, N m", {"": (trace["residual_tau"], {})}, trace["threshold_tau"][0])
-    angle = Panel("encoder fault b, deg", {"": (np.rad2deg(trace["fault_q_hat"]), {})}, np.rad2deg(trace["threshold_q"][0]))
+    """S of both channels, Eq. (14), with thresholds, and verdicts; faults shaded; all joints, or ``shown`` at first."""
+    torque = Panel("S, torque residual, N m", {"": (trace["statistic_tau"], {})}, trace["threshold_tau"][0])
+    angle = Panel(
+        "S, encoder residual, deg", {"": (np.rad2deg(trace["statistic_q"]), {})}, np.rad2deg(trace["threshold_q"][0])
+    )
     apart = 0.08 * (np.arange(config.n) - (config.n - 1) / 2)  # joints that say the same are drawn beside each other
     verdict = Panel("verdict", {"": (trace["verdict"] + apart, {"shape": "hv"})})
     figure = shade(together(trace["t"], [torque, angle, verdict], config.robot.joint_names), trace)
     figure.update_yaxes(tickvals=[0, 1, 2, 3], ticktext=VERDICTS, range=[-0.4, 3.4], row=3, col=1)
     meta = {"together": True} if shown is None else {"first": shown}
-    return finish(figure, title, "Dashed: thresholds; shaded: fault present.", panels=3, **meta)
+    return finish(
+        figure,
+        title,
+        "S is the residual as the alarm weighs it. Dashed: thresholds; shaded: a fault on any joint.",
+        panels=3,
+        **meta,
+    )
 
 
 def motion_figure(config: Config, trace: dict[str, np.ndarray], title: str = "Motion, tracking and torque") -> go.Figure:

@@ -49,7 +49,7 @@ def embed(figure: go.Figure, *, number: str = "", below: str = "") -> str:
     meta = layout.meta
     anchor, before = (f" id='figure-{number}'", f"Figure {number}. ") if number else ("", "")
     note = f"<p class='note'>{html.escape(meta['note'])}</p>" if meta["note"] else ""
-    data = (figure.to_json() or "").replace("</", "<\\/")
+    data = figure.to_json()  # it escapes what would end the script
     return (
         f"<figure{anchor}><h3>{before}{html.escape(meta['title'])}</h3>{note}"
         f"<div class='canvas' style='height:{layout.height}px'></div>"

@@ -37,17 +37,17 @@ STAGES = {
     "ts": "The fuzzy stage books the jump of the reading as encoder fault, which frees the torque estimate.",
 }
 RESIDUALS = {  # condition -> number, title, what it shows
-    "healthy": ("10", "Residuals without a fault", "To be seen: what encoder noise leaves."),
-    "actuator": ("12", "Residuals under actuator faults", "To be seen: only the torque residual answers."),
+    "healthy": ("10", "Residuals without a fault", "Only encoder noise should be left."),
+    "actuator": ("12", "Residuals under actuator faults", "Only the torque channel should answer."),
     "sensor": (
         "13",
         "Residuals under encoder faults",
-        "To be seen: only the encoder channel answers.",
+        "Only the encoder channel should answer.",
     ),
     "both": (
         "14",
         "Residuals under actuator and encoder faults at once",
-        "To be seen: each channel answers to its own fault.",
+        "Each channel should answer to its own fault.",
     ),
 }
 
@@ -150,8 +150,11 @@ def _wrong_thresholds(config: Config, wrong: list[Trace]) -> go.Figure:
                 row=row, col=1,
             )  # fmt: skip
     (_, little), (_, much) = WRONG
-    note = f"Above: thresholds times {little:g}, no fault. Below: thresholds times {much:g}, actuator fault. Red: alarm."
-    return finish(figure, "Wrong thresholds", note, panels=2, together=False)
+    note = (
+        f"Factors chosen to be wrong. Above: thresholds times {little:g}, no fault. Below: times {much:g}, actuator fault; "
+        "the T-S stage reads the same thresholds. Red: alarm."
+    )
+    return finish(figure, "Wrong thresholds", note, panels=2)
 
 
 def _healthy_motion(config: Config, trace: Trace) -> go.Figure:
@@ -160,13 +163,13 @@ def _healthy_motion(config: Config, trace: Trace) -> go.Figure:
         Panel("torque, N m", {"": (trace["tau"], {})}),
     ]
     error = float(np.rad2deg(np.abs(trace["q"] - trace["q_ref"]).max()))
-    share = float(np.abs(trace["tau"] / config.robot.torque_limit).max())
-    note = (
-        f"Healthy arm. The largest tracking error of any joint is {error:.3f} deg; the largest torque is {100 * share:.0f} "
-        "% of its limit."
-    )
+    note = f"Healthy arm. The largest tracking error of any joint is {error:.3f} deg"
+    limited = np.isfinite(config.robot.torque_limit)
+    if limited.any():
+        share = float(np.abs(trace["tau"] / config.robot.torque_limit)[:, limited].max())
+        note += f"; the largest torque is {100 * share:.0f} % of its limit"
     figure = together(trace["t"], panels, config.robot.joint_names)
-    return finish(figure, "Joint and torque signals", note, panels=2, together=True)
+    return finish(figure, "Joint and torque signals", f"{note}.", panels=2, together=True)
 
 
 def _residuals(config: Config, condition: str, trace: Trace) -> tuple[str, go.Figure]:
@@ -221,7 +224,7 @@ def _equal_chattering(experiment: Experiment) -> go.Figure:
     figure.update_yaxes(type="log")
     note = (
         "Each curve scales one controller's switching gain from 1/8 to 8; mean of five noises. Dashed: ESMC's level with "
-        "the gains as given, at which the controllers are compared. Lower is better."
+        "the gains as given, at which, or at the nearest end, they are compared. Lower is better."
     )
     figure = finish(figure, "Tracking error at equal chattering", note)
     figure.update_yaxes(dtick=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import glob
 from pathlib import Path
 
 import numpy as np
@@ -62,7 +63,7 @@ def read(path: Path) -> Replay:
         raise ValueError(f"no trace at {path}; give a folder that `jaxftc simulate` wrote, or its trace.parquet")
     try:
         with duckdb.connect() as connection:
-            table = connection.execute("select * from read_parquet($path)", {"path": str(path)}).fetchnumpy()
+            table = connection.execute("select * from read_parquet($path)", {"path": glob.escape(str(path))}).fetchnumpy()
     except duckdb.Error as error:
         raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
     joints = tuple(name.removeprefix("q_ref_") for name in table if name.startswith("q_ref_"))
