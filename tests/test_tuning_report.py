@@ -8,6 +8,7 @@ import numpy as np
 import jaxftc
 from jaxftc.report.figures import surface_figure
 from tuning import OBJECTIVE, Progress, Result, report
+from tuning.held_out import Comparison
 
 
 def test_loss_figure_has_every_term():
@@ -38,3 +39,14 @@ def test_surface_figure_is_table_1(config):
         before.z[-1, -1],
     )  # (s, q) at the ends: NB-NB, NB-PB, PB-NB, PB-PB
     np.testing.assert_allclose(corner, (2.5, 0.5, 0.5, 2.5), atol=0.05)
+
+
+def test_what_tuning_changed_stays_on_its_axis():
+    """A term that was 0 and is not, and one that was not and is: both at the ends, their bars inside."""
+    names, draws = ("worse", "better", "same"), np.random.default_rng(0).uniform(1, 2, 8)
+    before, after = np.stack([0 * draws, draws, draws]), np.stack([draws, 0 * draws, draws])
+    found = Comparison("standard", "smooth", names, np.ones(3), before, after, None, None)  # pyright: ignore[reportArgumentType]
+    (dots,) = report.held_out_figure([found]).data
+    shown = dict(zip(dots.y, zip(dots.x, dots.error_x.array, dots.error_x.arrayminus, strict=True), strict=True))
+    assert shown["worse"] == (report.MOST, 0, 0) and shown["better"] == (report.LEAST, 0, 0) and shown["same"] == (1, 0, 0)
+    assert 0.5 < shown["objective"][0] < 2

@@ -26,7 +26,7 @@ WORST = 3  # scenarios shown
 SURFACE = "Factor on the switching gain, before and after"
 BEFORE, AFTER = COLOURS[1], COLOURS[0]
 SYMBOLS = ("circle", "square", "diamond", "triangle-up")
-LEAST = 0.01  # smallest ratio drawn
+LEAST, MOST = 0.01, 100.0  # smallest and largest ratio drawn
 
 
 def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comparison]) -> str:
@@ -54,15 +54,15 @@ def held_out_figure(comparisons: list[Comparison]) -> go.Figure:
     figure = go.Figure()
     for k, c in enumerate(comparisons):
         rows = _ratios(c)[::-1]
-        mean, low, high = (np.array([getattr(ratio, side) for *_, ratio in rows]) for side in ("value", "low", "high"))
+        mean, low, high = np.clip([ratio[:3] for *_, ratio in rows], LEAST, MOST).T
         figure.add_scatter(
-            x=np.maximum(mean, LEAST), y=[name for name, *_ in rows], name=_name(c), mode="markers",
+            x=mean, y=[name for name, *_ in rows], name=_name(c), mode="markers",
             orientation="h", offsetgroup=str(k),
             marker={"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 9},
-            error_x={"array": high - mean, "arrayminus": mean - np.maximum(low, LEAST), "thickness": 1.5, "width": 3},
+            error_x={"array": high - mean, "arrayminus": mean - low, "thickness": 1.5, "width": 3},
         )  # fmt: skip
     figure.add_vline(x=1.0, line=LIMIT)  # pyright: ignore[reportArgumentType]
-    note = f"Left of the dashed line is better. Bars: 95 % intervals over scenarios. Below {LEAST:g} is drawn at {LEAST:g}."
+    note = f"Left of the dashed line is better. Bars: 95 % intervals over scenarios, cut at {LEAST:g} and {MOST:g}."
     finish(figure, "What tuning changed on scenarios it never saw", note, panels=3)
     figure.update_layout(scattermode="group", scattergap=0.4)
     return figure.update_xaxes(LOGARITHMIC, title_text="mean after tuning / mean before")
