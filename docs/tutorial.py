@@ -6,14 +6,17 @@ Engine "chain" and 0.3 s of motion keep it short; most of the time goes into com
 # --------------------------------------------------------------------------------------
 # 1. Set up
 #
-# Two settings of JAX, before it is first used: a folder where compiled programs are
+# Settings of JAX, before it is first used: a folder where compiled programs are
 # kept for the next time, and, for the control loop at the end, one that saves a change
 # of threads in every tick.
 
 import copy
 import dataclasses
+import os
 import tempfile
 from pathlib import Path
+
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # XLA warns at length when a program comes from the folder
 
 import jax
 import jax.numpy as jnp

@@ -119,7 +119,8 @@ def _gif(path: Path, frames: Iterable[Image], fps: float) -> None:
     pictures = list(frames)
     thumbs = [np.asarray(picture)[::4, ::4].reshape(-1, 3) for picture in pictures]  # a colour may be in few frames only
     palette = Image.fromarray(np.concatenate(thumbs)[None]).quantize(GIF_COLOURS)
-    states = [round(255 * part) for colour in COLOURS.values() for part in colour[:3]]  # too rare to be among those
+    lit = (1.0, 0.9, 0.8, 0.7, 0.6)  # in the legend and in the light; states are too rare to be among those
+    states = [round(255 * share * part) for colour in COLOURS.values() for share in lit for part in colour[:3]]
     palette.putpalette((palette.getpalette() or [])[: 3 * GIF_COLOURS] + states)
     first, *others = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     ends = np.round(100 / fps * np.arange(1, len(pictures) + 1))
