@@ -16,7 +16,7 @@ from jaxftc.closed_loop import Trace
 from jaxftc.config import Config
 from jaxftc.monte_carlo import versus
 from jaxftc.monte_carlo.summary import FAULTY, Table, by_kind
-from jaxftc.report.figures import COLOURS, LOGARITHMIC, finish, residual_figure
+from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.types import VERDICTS
 
@@ -89,7 +89,7 @@ def delays(rows: Table) -> go.Figure:
         shown = np.unique(np.r_[np.arange(0, len(found), step), len(found) - 1]) if len(found) else np.arange(0)
         points = np.r_[found[shown], last]  # all curves end at the same time, those that are at 100 % at once included
         level = np.r_[shown + 1, len(found)] / max(len(delay), 1)
-        dash = ("solid", "dash", "dot")[k // len(COLOURS) % 3]
+        dash = DASHES[k // len(COLOURS) % len(DASHES)]
         figure.add_scatter(
             x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
             line={"shape": "hv", "color": COLOURS[k % len(COLOURS)], "dash": dash},

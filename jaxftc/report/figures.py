@@ -60,12 +60,9 @@ def together(t: np.ndarray, panels: list[Panel], joints: tuple[str, ...]) -> go.
     return figure
 
 
-def curve(
-    t: np.ndarray, y: np.ndarray, name: str, line: dict[str, Any], *, joint: int | None = None, **more: Any
-) -> go.Scatter:
-    """A signal over evenly spaced time, thinned to what a screen shows; of a joint, if one is given."""
+def curve(t: np.ndarray, y: np.ndarray, name: str, line: dict[str, Any], *, joint: int, **more: Any) -> go.Scatter:
+    """A signal over evenly spaced time, thinned to what a screen shows, of one joint."""
     values, step = thin(np.asarray(y, np.float32))
-    meta = {} if joint is None else {"meta": {"joint": joint}}
     spacing = float(t[-1] - t[0]) / max(len(t) - 1, 1) * step
     return go.Scatter(
         x0=float(t[0]),
@@ -75,7 +72,7 @@ def curve(
         legendgroup=name,
         mode="lines",
         line={"width": 1.5} | line,
-        **meta,
+        meta={"joint": joint},
         **more,
     )
 
@@ -152,7 +149,7 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, sh
     )
 
 
-def motion_figure(config: Config, trace: dict[str, np.ndarray], title: str = "Motion, tracking and torque") -> go.Figure:
+def motion_figure(config: Config, trace: dict[str, np.ndarray]) -> go.Figure:
     """Angles, their distance from the reference, and torques."""
     error = np.rad2deg(trace["q"] - trace["q_ref"])
     signals = {
@@ -162,7 +159,7 @@ def motion_figure(config: Config, trace: dict[str, np.ndarray], title: str = "Mo
     }
     panels = [Panel(axis, {"": (signal, {})}) for axis, signal in signals.items()]
     figure = shade(together(trace["t"], panels, config.robot.joint_names), trace)
-    return finish(figure, title, panels=3, together=True)
+    return finish(figure, "Motion, tracking and torque", panels=3, together=True)
 
 
 def surface_figure(config: Config, gains: dict[str, Gains], title: str) -> go.Figure:
