@@ -171,9 +171,9 @@ def _pair(config: Config, gains: Gains, scenarios: Scenario, key: Array) -> tupl
 _pair = jit(_pair, static_argnums=0)
 
 
-def _arx(config: Config, gains: Gains, learn: dict[str, np.ndarray], judge: dict[str, np.ndarray]) -> Arx:
+def _arx(config: Config, gains: Gains, learn: dict[str, np.ndarray], check: dict[str, np.ndarray]) -> Arx:
     """The model identified from one run, on another."""
-    log, other = (identify.Log(q=run_["y"], tau=run_["tau"]) for run_ in (learn, judge))
+    log, other = (identify.Log(q=run_["y"], tau=run_["tau"]) for run_ in (learn, check))
     model = identify.fit_multistep(config, gains, log, horizon=len(log.q))
     return Arx(other, identify.predict(config, model, other, len(other.q)), identify.errors(config, model, other))
 

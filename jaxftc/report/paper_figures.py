@@ -15,7 +15,7 @@ from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS
 from jaxftc.fuzzy.membership import shares
 from jaxftc.gains import Gains
-from jaxftc.paper import WRONG, Experiment
+from jaxftc.paper import SEEDS, SWEEP, WRONG, Experiment
 from jaxftc.report.figures import (
     COLOURS,
     LIMIT,
@@ -223,8 +223,8 @@ def _equal_chattering(experiment: Experiment) -> go.Figure:
     figure.update_yaxes(title_text="tracking rms, deg", type="log", row=1, col=1)
     figure.update_yaxes(type="log")
     note = (
-        "Each curve scales one controller's switching gain from 1/8 to 8; mean of five noises. Dashed: ESMC's level with "
-        "the gains as given, at which, or at the nearest end, they are compared. Lower is better."
+        f"Each curve scales one controller's switching gain by {SWEEP[0]:g} to {SWEEP[-1]:g}; mean of {SEEDS} noises. "
+        "Dashed: ESMC's level with the gains as given, at which, or at the nearest end, they are compared. Lower is better."
     )
     figure = finish(figure, "Tracking error at equal chattering", note)
     figure.update_yaxes(dtick=1)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxftc.metrics import SETTLE
 from jaxftc.types import ACTUATOR, NORMAL, SENSOR
 
 HEALTHY, FAULT, DETECTED, ALARM = range(4)  # state of a joint: nothing, fault not found, fault found, alarm without a fault
 STATES = ("healthy", "fault", "fault, detected", "alarm, no fault")
-SETTLE = 0.060  # s after the first alarm at which a single picture is taken: verdicts are scored then, too
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Replay:
         return np.searchsorted((self.t[1:] + self.t[:-1]) / 2, t)
 
     def moment(self) -> float:
-        """Time in s that says most in one picture: ``SETTLE`` after the first alarm, or the middle of a run without one."""
+        """Time in s that says most in one picture: when verdicts are scored after the first alarm, or the middle of a run."""
         alarms = np.flatnonzero((self.verdict != NORMAL).any(1))
         if not alarms.size:
             return float(self.t[len(self.t) // 2])
