@@ -43,7 +43,7 @@ class Replay:
         return np.searchsorted((self.t[1:] + self.t[:-1]) / 2, t)
 
     def moment(self) -> float:
-        """Time in s that says most in one picture: when verdicts are scored after the first alarm, or the middle of a run."""
+        """Time, s, that says most in one picture: when verdicts are scored after the first alarm, or the middle of a run."""
         alarms = np.flatnonzero((self.verdict != NORMAL).any(1))
         if not alarms.size:
             return float(self.t[len(self.t) // 2])
