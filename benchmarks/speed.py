@@ -49,7 +49,7 @@ def forward(setup: Setup, results: Results) -> None:
     rollout.load(*begin)
     step = mujoco_c.Step(config.robot, config.dt, config.ticks)
     scenario, key = paper_scenario("both", config), jax.random.key(workloads.NOISE)
-    noise = np.asarray(closed_loop.encoder_noise(config, scenario, key, np.dtype(np.float32)))
+    noise = np.asarray(closed_loop.encoder_noise(config, scenario, key))
     sides = {
         "plant": workloads.plant(config, begin, sizes.width, setup.cores),
         "loop": workloads.loop(config, gains, sizes.loop),

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from jaxftc import reference, schemes
+from jaxftc import noise, reference, schemes
 from jaxftc.arm import chain, plant
 from jaxftc.compile import jit
 from jaxftc.config import Config
@@ -109,11 +109,11 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
     return Loop(q, jnp.zeros_like(q), tau, inject.State(tau, q), schemes.init(config, gains, q))
 
 
-def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, noise: Array) -> tuple[Loop, Trace]:
-    """One tick of plant, faults and controller at t s; noise [n, ...] rad is the encoder's."""
+def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, error: Array) -> tuple[Loop, Trace]:
+    """One tick of plant, faults and controller at t s; error [n, ...] rad is the encoder's noise."""
     axes, robot = loop.q.ndim - 1, config.robot
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
-    fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, noise)
+    fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, error)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
     state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
@@ -134,15 +134,11 @@ def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Arr
     return Loop(q, qd, out.tau, fault, state), trace
 
 
-def encoder_noise(config: Config, scenario: Scenario, key: Array, dtype: jnp.dtype) -> Array:
-    """Noise [T, n, ...] rad, a function of the key and of each scenario's id alone."""
-
-    def one(scenario_id: Array) -> Array:
-        return jax.random.normal(jax.random.fold_in(key, scenario_id), (config.ticks, config.n), dtype)
-
-    ids = scenario.id
-    draws = jax.vmap(one)(ids.reshape(-1))
-    return jnp.moveaxis(draws, 0, -1).reshape(*draws.shape[1:], *ids.shape) * scenario.noise.astype(dtype)
+def encoder_noise(config: Config, scenario: Scenario, key: Array) -> Array:
+    """Noise [T, n, ...] rad float32 of a whole run, as the loop draws it tick by tick."""
+    stream = noise.streams(key, scenario.id)
+    draws = jax.vmap(lambda k: noise.normal(stream, k, config.n))(jnp.arange(config.ticks))
+    return draws * scenario.noise.astype(draws.dtype)
 
 
 def watch(
@@ -155,16 +151,17 @@ def watch(
     loop = start(config, gains, scenario)
     dtype = loop.q.dtype
     scenario = _cast(scenario, dtype)
-    noise = encoder_noise(config, scenario, key, dtype)
+    stream = noise.streams(key, scenario.id)
 
-    def body(carry: tuple[Loop, Any], x: tuple[Array, Array]) -> tuple[tuple[Loop, Any], Any]:
-        (loop, seen), (k, drawn) = carry, x
-        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn)
+    def body(carry: tuple[Loop, Any], k: Array) -> tuple[tuple[Loop, Any], Any]:
+        loop, seen = carry
+        error = scenario.noise * noise.normal(stream, k, config.n).astype(dtype)
+        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, error)
         seen, kept = look(seen, tick)
         return (loop, seen), kept
 
     body = jax.checkpoint(body, prevent_cse=False)  # a gradient keeps the carry of every tick and runs the tick again
-    (_, seen), kept = jax.lax.scan(body, (loop, seen), (jnp.arange(config.ticks), noise))
+    (_, seen), kept = jax.lax.scan(body, (loop, seen), jnp.arange(config.ticks))
     return seen, kept
 
 

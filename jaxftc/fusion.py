@@ -35,7 +35,7 @@ UNROLLED = 64  # terms of a sum over leading axes that is written out, so that i
 
 _INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
-_FREE |= {"unstack", "stop_gradient"}
+_FREE |= {"unstack", "stop_gradient", "bitcast_convert_type"}
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
 _SUMS: dict[str, Callable[[Any, Any], Any]] = {
@@ -52,7 +52,7 @@ _FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "reduc
 _FUSED |= _COST.keys() | _FREE | _SUMS.keys()
 # What one function can hold.
 _PLAIN = {"scan", "concatenate", "stack", "pad", "iota", "transpose", "rev", "dynamic_slice", "dot_general"} | _FUSED
-_PLAIN |= {"bitcast_convert_type", "random_bits", "random_fold_in", "random_wrap", "random_unwrap"}
+_PLAIN |= {"random_bits", "random_fold_in", "random_wrap", "random_unwrap"}
 
 
 class Step(NamedTuple):

@@ -199,7 +199,7 @@ def test_the_loop_in_numpy_is_the_library_s(torque, coulomb):
         jax.random.key(3),
     )
     trace = jaxftc.simulate(config, gains, scenario, key)
-    made = numpy_loop.simulate(config, gains, scenario, np.asarray(encoder_noise(config, scenario, key, np.dtype(float))))
+    made = numpy_loop.simulate(config, gains, scenario, np.asarray(encoder_noise(config, scenario, key)))
     np.testing.assert_allclose(made.tau, trace.out.tau, atol=1e-7)
     np.testing.assert_allclose(made.q, trace.q, atol=1e-10)
     np.testing.assert_array_equal(made.verdict, trace.out.verdict)

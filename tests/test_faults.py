@@ -130,10 +130,10 @@ def test_sampled_scenarios_have_a_leading_axis_and_their_ids(config):
 def test_noise_depends_on_the_id_not_on_the_place(config):
     scenarios = jaxftc.sample_scenarios(jax.random.key(0), 8, preset="paper", config=config)
     key = jax.random.key(5)
-    whole = encoder_noise(config, trail(scenarios), key, jnp.float64)
-    part = encoder_noise(config, trail(jax.tree.map(lambda leaf: leaf[jnp.array([6, 2])], scenarios)), key, jnp.float64)
+    whole = encoder_noise(config, trail(scenarios), key)
+    part = encoder_noise(config, trail(jax.tree.map(lambda leaf: leaf[jnp.array([6, 2])], scenarios)), key)
     np.testing.assert_array_equal(part, whole[..., jnp.array([6, 2])])
-    one = encoder_noise(config, jax.tree.map(lambda leaf: leaf[6], scenarios), key, jnp.float64)
+    one = encoder_noise(config, jax.tree.map(lambda leaf: leaf[6], scenarios), key)
     np.testing.assert_array_equal(one, whole[..., 6])
     np.testing.assert_allclose(np.std(whole), 3e-5, rtol=0.1)
 

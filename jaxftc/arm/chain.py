@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.arm.robot import Link, Robot
+from jaxftc.arm.trigonometry import cos_sin
 from jaxftc.types import Array
 from jaxftc.types import unstack as lanes
 
@@ -116,7 +117,7 @@ class Pose(NamedTuple):
 def pose(robot: Robot, q: Array) -> Pose:
     """Trigonometry of q [n, ...] rad."""
     turned = q - trailing_constant(robot.q_zero, q) if np.any(robot.q_zero) else q
-    return Pose(jnp.cos(turned), jnp.sin(turned))
+    return Pose(*cos_sin(turned))
 
 
 def trailing_constant(values: np.ndarray, like: Array) -> Array:

@@ -51,10 +51,9 @@ def infer(
     X in Eq. (33) is read as the centre of the output set (as printed, max of a grade, it is 1 whatever the rule says).
     Separable: for each q set the s shares are first added up by output level.
     """
-    q_share, s_share = shares(q, *q_sets), shares(s, *s_sets)
-    total = jnp.zeros(jnp.broadcast_shapes(q.shape, s.shape), q_share.dtype)
-    s_shares, values = unstack(s_share), unstack(outputs)
-    for row, share in zip(table, unstack(q_share), strict=True):
+    q_shares, s_shares, values = shares(q, *q_sets), shares(s, *s_sets), unstack(outputs)
+    total = jnp.zeros_like(q_shares[0])
+    for row, share in zip(table, q_shares, strict=True):
         levels = [sum(s_shares[j] for j in np.flatnonzero(row == level)) for level in range(3)]
         total = total + share * sum(value * grade for value, grade in zip(values, levels, strict=True))
     return total
