@@ -109,7 +109,7 @@ def main(task: Task) -> None:
     options = common.Options(
         engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
     )
-    common.prepare(options, every_core=task.what == "gradient")  # as `jaxftc tune` does
+    common.prepare(options, gradients=task.what == "gradient")  # as `jaxftc tune` does
     if task.what == "tick":  # as a control loop does, see jaxftc.Tick
         import jax
 

@@ -16,9 +16,11 @@ Nothing here knows robots.
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import gc
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -29,12 +31,14 @@ from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Literal
 
 STORE = 12_000.0  # element operations that storing a value and reading it back is worth, with the call of one more loop
+ONCE = 1e5  # the same around a loop over time, where compiling one more loop takes longer than what it saves
 LONGEST = 300.0  # operations in one loop: longer ones run out of registers and compile slowly
 LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
 
 _INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
+_PARTS = {"slice", "split", "unstack"}
 _FREE |= {"unstack", "stop_gradient", "bitcast_convert_type"}
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
@@ -88,6 +92,7 @@ class Program(NamedTuple):
     steps: tuple[Step, ...]
     outputs: tuple[Any, ...]
     fenced: frozenset[int]
+    cut: frozenset[int]  # values that parts are taken of
     bodies: dict[int, Program]  # of the loops among the steps
 
 
@@ -121,14 +126,27 @@ def _rewritten(fun: Callable[..., Any], run: Callable[[ClosedJaxpr, list[Any]], 
             return fun(*args, **kwargs)
 
         values = [leaves[k] for k in traced]
-        program, shape = jax.make_jaxpr(inner, return_shape=True)(*values)
-        return jax.tree.unflatten(jax.tree.structure(shape), run(program, values))
+        with _no_collecting():
+            program, shape = jax.make_jaxpr(inner, return_shape=True)(*values)
+            return jax.tree.unflatten(jax.tree.structure(shape), run(program, values))
 
     return call
 
 
-def plan(traced: ClosedJaxpr, *, fences: bool = True) -> Program:
-    """Flatten the program, leave out what nothing uses, and choose the fences."""
+@contextlib.contextmanager
+def _no_collecting() -> Iterator[None]:
+    """Python's garbage collector off: looking through a hundred thousand young objects takes half of the time to trace."""
+    on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if on:
+            gc.enable()
+
+
+def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) -> Program:
+    """Flatten the program, leave out what nothing uses, and choose the fences; ``repeated`` is what a loop runs."""
     flat = _Flat(len(traced.jaxpr.invars))
     inputs = tuple(range(flat.count))
     outputs = tuple(flat.follow(traced, inputs))
@@ -142,8 +160,12 @@ def plan(traced: ClosedJaxpr, *, fences: bool = True) -> Program:
     for k, step in enumerate(kept):
         if step.primitive.name in _BODIES:
             inner = step.params["jaxpr"]
-            bodies[k] = plan(inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ()), fences=fences)
-    return Program(inputs, tuple(kept), outputs, frozenset(_fences(kept, outputs) if fences else ()), bodies)
+            inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+            bodies[k] = plan(inner, fences=fences, repeated=repeated or step.primitive.name == "scan")
+    around = bool(bodies) and not repeated
+    cut = _cut(kept) if fences and not around else frozenset()
+    chosen = _fences(kept, outputs, cut, ONCE if around else STORE) if fences else ()
+    return Program(inputs, tuple(kept), outputs, frozenset(chosen), cut, bodies)
 
 
 def _extent(program: Program) -> float:
@@ -196,7 +218,17 @@ class _Flat:
         return self.seen[key]
 
 
-def _fences(steps: Sequence[Step], outputs: Sequence[Any]) -> set[int]:
+def _cut(steps: Sequence[Step]) -> frozenset[int]:
+    """Values that parts are taken of, views of them included."""
+    cut: set[int] = set()
+    for step in reversed(steps):
+        name = step.primitive.name
+        if name in _PARTS or (name in _FREE and cut.intersection(step.outputs)):
+            cut.update(x for x in step.inputs if isinstance(x, int))
+    return frozenset(cut)
+
+
+def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], store: float) -> set[int]:
     """Positions of the steps with a fence behind them.
 
     ``loops`` are the loops that a value would be drawn into: the fenced steps that use it, directly or through others.
@@ -224,8 +256,8 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any]) -> set[int]:
         if stored[k] or free[k]:
             continue
         repeated = (len(readers[k]) - 1) * cone[k] * step.size
-        joined = any(stored[reader] for reader in readers[k])
-        if repeated > STORE or cone[k] > LONGEST or joined:
+        joined = any(stored[reader] for reader in readers[k]) and (store < ONCE or cone[k] * step.size > store)
+        if repeated > store or cone[k] > LONGEST or joined or not cut.isdisjoint(step.outputs):
             fenced.add(k)
 
     loops: list[set[int]] = [set() for _ in steps]
@@ -233,9 +265,10 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any]) -> set[int]:
         loops[k] = {k} if k in returned else set()
         for user in users[k]:
             loops[k] |= {user} if user in fenced or stored[user] or user in returned else loops[user]
-        if k in fenced and len(loops[k]) == 1 and cone[k] <= LONGEST and not any(stored[u] for u in loops[k]):
+        lone = len(loops[k]) == 1 and cut.isdisjoint(steps[k].outputs)
+        if k in fenced and lone and cone[k] <= LONGEST and not any(stored[u] for u in loops[k]):
             fenced.discard(k)  # its readers all end in one loop, which computes it once
-    return fenced | {k for k, step in enumerate(steps) if step.primitive.name in ("concatenate", "stack")}
+    return fenced | {k for k, step in enumerate(steps) if step.primitive.name in ("concatenate", "stack") and store < ONCE}
 
 
 def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
@@ -264,8 +297,10 @@ def _apply(step: Step, inputs: list[Any], body: Program | None) -> list[Any]:
 
 def _scan(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any]:
     consts, carried = params["num_consts"], params["num_carry"]
+    cut = [value in inner.cut for value in inner.inputs[consts + carried :]]
 
     def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], list[Any]]:
+        x = [lax.optimization_barrier(part) if parts else part for part, parts in zip(x, cut, strict=True)]
         results = evaluate(inner, [*inputs[:consts], *carry, *x])
         return results[:carried], results[carried:]
 

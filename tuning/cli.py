@@ -62,7 +62,7 @@ class Tune(common.Options):
 
     def run(self) -> None:
         """Tune, compare, write."""
-        common.prepare(self, every_core=True)
+        common.prepare(self, gradients=True)
         import jax
 
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains

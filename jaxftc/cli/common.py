@@ -46,16 +46,20 @@ def say(options: Options, text: str = "") -> None:
     print(text, file=sys.stderr if options.json else sys.stdout)
 
 
-def prepare(options: Options, *, every_core: bool = False) -> None:
+def prepare(options: Options, *, gradients: bool = False) -> None:
     """Settings of JAX that a command may make: the persistent compilation cache, and XLA's log.
 
-    ``every_core`` makes each core a device, for commands that spread scenarios over devices.
+    ``gradients`` makes each core a device, for commands that spread scenarios over devices, and lets a loop on the CPU have
+    several results (a flag of XLA's that no compile option reaches): of use to gradients, where values have many uses.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    flags = os.environ.get("XLA_FLAGS", "")
+    if gradients and "xla_backend_extra_options" not in flags:
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true".strip()
     import jax
 
-    if every_core:
+    if gradients:
         jax.config.update(
             "jax_num_cpu_devices", len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
         )

@@ -1,8 +1,14 @@
-"""Gaussian membership, normalised over the sets of one input, Eqs. (8) to (10) and (33)."""
+"""Gaussian membership in the sets of one input, Eqs. (8) to (10) and (33).
+
+Rules multiply grades and are averaged by their weights, so that grades matter up to a common factor only: all are taken
+relative to the largest, which stays finite however narrow the sets are. Set by set instead of in one array: a compiler that
+fuses would take the largest grade anew for each set.
+"""
 
 from __future__ import annotations
 
 import functools
+import math
 
 import jax
 import jax.numpy as jnp
@@ -10,17 +16,22 @@ import jax.numpy as jnp
 from jaxftc.types import Array, unstack
 
 
-def shares(x: Array, centres: Array, widths: Array) -> list[Array]:
-    """Share of each set in the grade of x: as many arrays [n, ...] as there are sets, adding up to 1.
+def grades(x: Array, centres: Array, widths: Array) -> list[Array]:
+    """Grade of x [n, ...] in each set, [n, ...] each, over the largest of them.
 
-    ``x`` [n, ...] saturates at the outermost centres; ``centres`` and ``widths`` are [sets, ...]. With product rules and a
-    centre average, the rule weights are products of these shares, so that they need no normalising of their own. Computed
-    as a softmax of the exponents: finite however narrow the sets are. Set by set, because a compiler that fuses takes the
-    largest exponent and the sum anew for every set of a stacked array.
+    ``x`` saturates at the outermost centres; ``centres`` and ``widths`` are [sets, ...], one set of sets for all joints.
     """
-    x = jnp.clip(x, centres[0], centres[-1])
-    exponents = [-0.5 * ((x - c) / w) ** 2 for c, w in zip(unstack(centres), unstack(widths), strict=True)]
+    exponents = _exponents(x, centres, widths)
     largest = jax.lax.stop_gradient(functools.reduce(jnp.maximum, exponents))
-    grades = [jnp.exp(exponent - largest) for exponent in exponents]
-    scale = 1 / sum(grades)
-    return [grade * scale for grade in grades]
+    return [jnp.exp(exponent - largest) for exponent in exponents]
+
+
+def share(x: Array, centres: Array, widths: Array) -> Array:
+    """Grade [n, ...] in the second of two sets over the sum of both grades; like ``grades``."""
+    first, second = _exponents(x, centres, widths)
+    return jax.nn.sigmoid(second - first)
+
+
+def _exponents(x: Array, centres: Array, widths: Array) -> list[Array]:
+    x, scales = jnp.clip(x, centres[0], centres[-1]), unstack(math.sqrt(0.5) / widths)
+    return [-(((x - centre) * scale) ** 2) for centre, scale in zip(unstack(centres), scales, strict=True)]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.fuzzy.membership import shares
+from jaxftc.fuzzy.membership import grades
 from jaxftc.types import Array, unstack
 
 PRINTED = np.array(
@@ -49,11 +49,17 @@ def infer(
     """Centre average of the 49 rules, [n, ...], from q [n, ...] rad and s [n, ...] rad/s, Eq. (33).
 
     X in Eq. (33) is read as the centre of the output set (as printed, max of a grade, it is 1 whatever the rule says).
-    Separable: for each q set the s shares are first added up by output level.
+    Separable: for each q set the s grades are first added up by output level. The commonest level is what the others are
+    taken from, so that its rules cost nothing.
     """
-    q_shares, s_shares, values = shares(q, *q_sets), shares(s, *s_sets), unstack(outputs)
-    total = jnp.zeros_like(q_shares[0])
-    for row, share in zip(table, q_shares, strict=True):
-        levels = [sum(s_shares[j] for j in np.flatnonzero(row == level)) for level in range(3)]
-        total = total + share * sum(value * grade for value, grade in zip(values, levels, strict=True))
-    return total
+    q_grades, s_grades, values = grades(q, *q_sets), grades(s, *s_sets), unstack(outputs)
+    common, *others = np.argsort(np.bincount(table.ravel(), minlength=len(values)))[::-1]
+    total = jnp.zeros_like(q_grades[0])
+    for level in others:
+        weight = jnp.zeros_like(total)
+        for row, grade in zip(table, q_grades, strict=True):
+            members = np.flatnonzero(row == level)
+            if len(members):
+                weight = weight + grade * sum(s_grades[j] for j in members)
+        total = total + (values[level] - values[common]) * weight
+    return values[common] + total / (sum(q_grades) * sum(s_grades))

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc.fuzzy.membership import shares
+from jaxftc.fuzzy.membership import share
 from jaxftc.types import Array
 
 
@@ -23,10 +23,10 @@ class Weights(NamedTuple):
 
 def jump_share(jump: Array, threshold: Array, centres: Array, widths: Array) -> Array:
     """Grade h_s [n, ...] in 0..1 with which a jump [n, ...] rad can only be the encoder's."""
-    return shares(jnp.abs(jump) / threshold, centres, widths)[1]
+    return share(jnp.abs(jump) / threshold, centres, widths)
 
 
 def weights(residual_tau: Array, threshold_tau: Array, h_s: Array, centres: Array, widths: Array) -> Weights:
     """Rule weights by products of shares, from the torque residual [n, ...] N m and the jump's grade h_s."""
-    at = shares(jnp.abs(residual_tau) / threshold_tau, centres, widths)[1]
+    at = share(jnp.abs(residual_tau) / threshold_tau, centres, widths)
     return Weights(actuator=at * (1 - h_s), both=at * h_s)

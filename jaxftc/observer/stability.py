@@ -43,12 +43,15 @@ def smooth_radius(config: Config, gains: Gains) -> Array:
     if any(axis is not None for axis in swept):
         return jax.vmap(smooth_radius, in_axes=(None, jax.tree.unflatten(tree, swept)), out_axes=-1)(config, gains)
     power = error_matrices(config, gains)
-    total = jnp.zeros(power.shape[:2], power.dtype)  # log of what was divided out, per unit of exponent
-    for k in range(SQUARINGS + 1):
+
+    def square(carry: tuple[Array, Array], share: Array) -> tuple[tuple[Array, Array], None]:
+        power, total = carry
         size = jnp.sqrt((power * power).sum((-2, -1)))
-        total = total + jnp.log(size) / 2**k
         power = power / size[..., None, None]
-        power = power @ power
+        return (power @ power, total + share * jnp.log(size)), None
+
+    total = jnp.zeros(power.shape[:2], power.dtype)  # log of what was divided out, per unit of exponent
+    (_, total), _ = jax.lax.scan(square, (power, total), jnp.asarray(0.5 ** np.arange(SQUARINGS + 1), power.dtype))
     return jnp.exp(total).max(0)
 
 

@@ -13,7 +13,7 @@ from plotly.subplots import make_subplots
 from jaxftc.claims import ARX_DEG
 from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS
-from jaxftc.fuzzy.membership import shares
+from jaxftc.fuzzy.membership import share
 from jaxftc.gains import Gains
 from jaxftc.paper import SEEDS, SWEEP, WRONG, Experiment
 from jaxftc.report.figures import (
@@ -116,9 +116,9 @@ def _membership(gains: Gains) -> go.Figure:
     )
     for column, (_, centres, widths) in enumerate(inputs, start=1):
         bell = np.exp(-0.5 * ((x - np.asarray(centres)[:, None]) / np.asarray(widths)[:, None]) ** 2)
-        share = np.asarray(shares(jnp.asarray(x), centres, widths))
+        second = np.asarray(share(jnp.asarray(x), centres, widths))
         for k, name in enumerate(("zero", "at threshold")):
-            for y, dash in ((bell[k], "dot"), (share[k], "solid")):
+            for y, dash in ((bell[k], "dot"), ((1 - second, second)[k], "solid")):
                 figure.add_scatter(
                     x=x.astype(np.float32), y=y.astype(np.float32), name=name, legendgroup=name, line=_line(k, dash),
                     showlegend=column == 1 and dash == "solid", row=1, col=column,
