@@ -4,9 +4,10 @@ Large arrays: XLA turns a step of thousands of small operations into loops ("fus
 into every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for
 each of their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised.
 ``planned`` counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute
-again, and on both sides of every array that is put together from parts. A fence is ``jax.lax.optimization_barrier``: it
+again, on both sides of every array that is put together from parts, and in front of every array that is taken apart (a loop
+that computes what it takes parts of is not vectorised either). A fence is ``jax.lax.optimization_barrier``: it
 changes no number. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for
-each loop body and is good for one set of shapes.
+each loop body and is good for one set of shapes. What is around a loop over time runs once: few fences there.
 
 Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as
 one function, loops over time included.
@@ -38,7 +39,7 @@ UNROLLED = 64  # terms of a sum over leading axes that is written out, so that i
 
 _INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
 _FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
-_PARTS = {"slice", "split", "unstack"}
+_PARTS, _JOINS = {"slice", "split", "unstack"}, {"concatenate", "stack"}
 _FREE |= {"unstack", "stop_gradient", "bitcast_convert_type"}
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
@@ -164,7 +165,7 @@ def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) ->
             bodies[k] = plan(inner, fences=fences, repeated=repeated or step.primitive.name == "scan")
     around = bool(bodies) and not repeated
     cut = _cut(kept) if fences and not around else frozenset()
-    chosen = _fences(kept, outputs, cut, ONCE if around else STORE) if fences else ()
+    chosen = _fences(kept, outputs, cut, around) if fences else ()
     return Program(inputs, tuple(kept), outputs, frozenset(chosen), cut, bodies)
 
 
@@ -228,11 +229,12 @@ def _cut(steps: Sequence[Step]) -> frozenset[int]:
     return frozenset(cut)
 
 
-def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], store: float) -> set[int]:
-    """Positions of the steps with a fence behind them.
+def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], around: bool) -> set[int]:
+    """Positions of the steps with a fence behind them, in a program that runs again and again or is ``around`` one that does.
 
     ``loops`` are the loops that a value would be drawn into: the fenced steps that use it, directly or through others.
     """
+    store = ONCE if around else STORE
     maker = {output: k for k, step in enumerate(steps) for output in step.outputs}
     makers = [{maker[x] for x in step.inputs if isinstance(x, int) and x in maker} for step in steps]
     users: list[set[int]] = [set() for _ in steps]
@@ -256,7 +258,7 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
         if stored[k] or free[k]:
             continue
         repeated = (len(readers[k]) - 1) * cone[k] * step.size
-        joined = any(stored[reader] for reader in readers[k]) and (store < ONCE or cone[k] * step.size > store)
+        joined = any(stored[reader] for reader in readers[k]) and (not around or cone[k] * step.size > store)
         if repeated > store or cone[k] > LONGEST or joined or not cut.isdisjoint(step.outputs):
             fenced.add(k)
 
@@ -268,7 +270,7 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
         lone = len(loops[k]) == 1 and cut.isdisjoint(steps[k].outputs)
         if k in fenced and lone and cone[k] <= LONGEST and not any(stored[u] for u in loops[k]):
             fenced.discard(k)  # its readers all end in one loop, which computes it once
-    return fenced | {k for k, step in enumerate(steps) if step.primitive.name in ("concatenate", "stack") and store < ONCE}
+    return fenced if around else fenced | {k for k, step in enumerate(steps) if step.primitive.name in _JOINS}
 
 
 def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:

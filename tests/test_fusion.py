@@ -1,5 +1,7 @@
 """The plan: it changes no number, and puts fences where work would be repeated."""
 
+import gc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -73,6 +75,31 @@ def test_a_value_that_ends_in_one_loop_is_not_stored():
 def test_parts_of_a_joined_array_are_stored_and_so_is_the_array():
     x = jnp.ones((2, 512))
     assert fences(lambda x: jnp.stack([x[0] * x[1], x[0] + x[1]]) * 2, x) == 3
+
+
+def test_an_array_that_is_computed_and_taken_apart_is_stored():
+    x = jnp.ones((2, 512))
+    assert fences(lambda x: (x + 1)[0] * (x + 1)[1], x) == 1
+    assert fences(lambda x: x[0] * x[1], x) == 0
+
+
+def test_there_are_few_fences_around_a_loop_and_the_usual_ones_in_it():
+    def fun(x):
+        joined = jnp.stack([x[0] * x[1], x[0] + x[1]])
+        return jax.lax.scan(lambda carry, _: (jnp.stack([carry[0] * carry[1], carry[0]]), None), joined, None, length=2)[0]
+
+    program = plan(jax.make_jaxpr(fun)(jnp.ones((2, 512))))
+    (body,) = program.bodies.values()
+    assert (len(program.fenced), len(body.fenced)) == (0, 2)
+
+
+def test_the_garbage_collector_is_as_it_was():
+    for on in (False, True):
+        (gc.enable if on else gc.disable)()
+        planned(jnp.sin)(jnp.ones(3))
+        with pytest.raises(ZeroDivisionError):
+            planned(lambda x: x / (1 // 0))(jnp.ones(3))
+        assert gc.isenabled() == on
 
 
 def test_what_nothing_uses_is_left_out_and_the_same_operation_is_done_once():

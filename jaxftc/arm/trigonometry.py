@@ -23,7 +23,7 @@ _COS = (2.443315711809948e-5, -1.388731625493765e-3, 4.166664568298827e-2)
 
 @jax.custom_jvp
 def cos_sin(x: Array) -> tuple[Array, Array]:
-    """Cosine and sine of x rad, any shape, to 1e-7 up to a few thousand turns; never above 1 by more than that."""
+    """Cosine and sine of x rad, any shape, to 1e-7 up to a thousand turns; never above 1 by more than that."""
     if x.dtype != jnp.float32:
         return jnp.cos(x), jnp.sin(x)
     turns = jnp.round(x * (2 / math.pi))  # quarter turns
