@@ -325,7 +325,7 @@ def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
 @pytest.mark.parametrize("gap", GAP)
 def test_no_jump_is_booked_when_readings_come_back(config, dropped, gap):
     """The arm is not its model, so that the prediction has drifted: that is not the encoder's fault."""
-    trace = dropped(GAP[gap], tuple(range(N)), payload=1.0)
+    trace = dropped(GAP[gap], tuple(range(N)), payload=2.0)
     back = round(GAP[gap][1] / config.dt) + 1
     drifted = np.abs(trace.out.q_hat - trace.q)[back - 1].max()
     assert drifted > (1e-4 if gap == "one tick" else 4e-4), "there is something to book"

@@ -150,12 +150,15 @@ def test_a_log_is_diagnosed_as_the_arm_was(logged):
 
 
 def test_a_log_starts_without_a_push(paper_arm):
-    """The torque before the first reading is not known; taking the first one for it would be one."""
+    """The torque before the first reading is not known; taking the first one for it would be one, of 2 N m.
+
+    The simulated loop knows where it starts, a log has a first reading with its noise: up to 0.6 N m, over twelve seeds.
+    """
     config = jaxftc.Config(paper_arm, engine="chain", duration=0.1)
     gains = jaxftc.default_gains(config)
     trace = jaxftc.simulate(config, gains, paper_scenario("healthy", config), jax.random.key(64))
     out = logs.diagnose(config, gains, from_trace(trace))
-    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=0.5)
+    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=1.0)
 
 
 def test_thresholds_from_logs(logged):
