@@ -109,11 +109,13 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
     return Loop(q, jnp.zeros_like(q), tau, inject.State(tau, q), schemes.init(config, gains, q))
 
 
-def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, error: Array) -> tuple[Loop, Trace]:
-    """One tick of plant, faults and controller at t s; error [n, ...] rad is the encoder's noise."""
+def advance(
+    config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, reading_error: Array
+) -> tuple[Loop, Trace]:
+    """One tick of plant, faults and controller at t s; reading_error [n, ...] rad is the encoder's noise."""
     axes, robot = loop.q.ndim - 1, config.robot
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
-    fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, error)
+    fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, reading_error)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
     state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
@@ -135,10 +137,10 @@ def advance(config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Arr
 
 
 def encoder_noise(config: Config, scenario: Scenario, key: Array) -> Array:
-    """Noise [T, n, ...] rad float32 of a whole run, as the loop draws it tick by tick."""
+    """Noise [T, n, ...] rad of a whole run, as the loop draws it tick by tick."""
     stream = noise.streams(key, scenario.id)
     draws = jax.vmap(lambda k: noise.normal(stream, k, config.n))(jnp.arange(config.ticks))
-    return draws * scenario.noise.astype(draws.dtype)
+    return draws * scenario.noise
 
 
 def watch(
@@ -155,8 +157,8 @@ def watch(
 
     def body(carry: tuple[Loop, Any], k: Array) -> tuple[tuple[Loop, Any], Any]:
         loop, seen = carry
-        error = scenario.noise * noise.normal(stream, k, config.n).astype(dtype)
-        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, error)
+        drawn = scenario.noise * noise.normal(stream, k, config.n).astype(dtype)
+        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn)
         seen, kept = look(seen, tick)
         return (loop, seen), kept
 

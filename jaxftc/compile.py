@@ -21,7 +21,7 @@ from jaxftc.fusion import planned, whole
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
 _WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
-_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander,cpu-parallel-task-assigner"}
+_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
 
 
 @functools.cache

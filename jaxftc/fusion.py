@@ -4,10 +4,11 @@ Large arrays: XLA turns a step of thousands of small operations into loops ("fus
 into every loop that uses it. In rigid-body recursions, and more so in their reverse mode, that repeats whole recursions for
 each of their results; and a loop that writes the parts of a concatenated array one after the other is not vectorised.
 ``planned`` counts what would be repeated, and puts a fence behind every value that is cheaper to store than to compute
-again, on both sides of every array that is put together from parts, and in front of every array that is taken apart (a loop
-that computes what it takes parts of is not vectorised either). A fence is ``jax.lax.optimization_barrier``: it
-changes no number. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan is made for
-each loop body and is good for one set of shapes. What is around a loop over time runs once: few fences there.
+again, on both sides of every array that is put together from parts, and behind every array that is computed and then taken
+apart (a loop that computes what it takes parts of is not vectorised either). A fence is ``jax.lax.optimization_barrier``: it
+changes numbers by rounding only. CPU compilers strip barriers before they fuse, unless told not to (``compile.py``). A plan
+is made for each loop body and is good for one set of shapes. What is around a loop over time is taken to cost little beside
+it, and gets few fences.
 
 Small arrays: calling a loop takes longer than running it. ``whole`` marks the program as a small call, which XLA emits as
 one function, loops over time included.
@@ -137,13 +138,14 @@ def _rewritten(fun: Callable[..., Any], run: Callable[[ClosedJaxpr, list[Any]], 
 @contextlib.contextmanager
 def _no_collecting() -> Iterator[None]:
     """Python's garbage collector off: looking through a hundred thousand young objects takes half of the time to trace."""
-    on = gc.isenabled()
+    if not gc.isenabled():  # by the caller, or by another thread that traces and will switch it on again
+        yield
+        return
     gc.disable()
     try:
         yield
     finally:
-        if on:
-            gc.enable()
+        gc.enable()
 
 
 def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) -> Program:
@@ -230,7 +232,7 @@ def _cut(steps: Sequence[Step]) -> frozenset[int]:
 
 
 def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], around: bool) -> set[int]:
-    """Positions of the steps with a fence behind them, in a program that runs again and again or is ``around`` one that does.
+    """Positions of the steps with a fence behind them; a program with a loop over time is what is ``around`` it.
 
     ``loops`` are the loops that a value would be drawn into: the fenced steps that use it, directly or through others.
     """

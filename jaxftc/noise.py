@@ -1,8 +1,9 @@
 """Encoder noise, tick by tick: the standard normal numbers of a scenario are a function of the key and its id alone.
 
-The numbers are those of ``jax.random.normal(jax.random.fold_in(key, id), (ticks, n), jnp.float32)``. That call would draw
-all of them before the loop, scenario by scenario, and store them; the same generator (threefry2x32, a hash of a counter)
-written out gives those of one tick where they are needed, [n, ...] as everything else is.
+The numbers are those of ``jax.random.normal(jax.random.fold_in(key, id), (ticks, n), jnp.float32)``, to rounding, for JAX's
+own keys with ``jax_threefry_partitionable`` on, as it is. That call would draw all of them before the loop, scenario by
+scenario, and store them; the same generator (threefry2x32, a hash of a counter) written out gives those of one tick where
+they are needed, [n, ...] as everything else is. Of a key of another kind the first two words are the generator's key.
 """
 
 from __future__ import annotations

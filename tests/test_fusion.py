@@ -83,6 +83,17 @@ def test_an_array_that_is_computed_and_taken_apart_is_stored():
     assert fences(lambda x: x[0] * x[1], x) == 0
 
 
+def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
+    x = jnp.linspace(1, 2, 4 * 2 * LANES).reshape(4, 2, LANES)
+
+    def barriers(body):
+        text = str(jax.make_jaxpr(planned(lambda x: jax.lax.scan(body, jnp.zeros(LANES), x)))(x))
+        return text.count("optimization_barrier")
+
+    assert barriers(lambda carry, x: (carry + x[0] * x[1], None)) == 1
+    assert barriers(lambda carry, x: (carry + x.sum(), None)) == 0
+
+
 def test_there_are_few_fences_around_a_loop_and_the_usual_ones_in_it():
     def fun(x):
         joined = jnp.stack([x[0] * x[1], x[0] + x[1]])
@@ -94,12 +105,17 @@ def test_there_are_few_fences_around_a_loop_and_the_usual_ones_in_it():
 
 
 def test_the_garbage_collector_is_as_it_was():
-    for on in (False, True):
-        (gc.enable if on else gc.disable)()
-        planned(jnp.sin)(jnp.ones(3))
-        with pytest.raises(ZeroDivisionError):
-            planned(lambda x: x / (1 // 0))(jnp.ones(3))
-        assert gc.isenabled() == on
+    seen = []
+    try:
+        for on in (False, True):
+            (gc.enable if on else gc.disable)()
+            planned(lambda x: (seen.append(gc.isenabled()), x)[1])(jnp.ones(3))
+            with pytest.raises(ZeroDivisionError):
+                planned(lambda x: x / (1 // 0))(jnp.ones(3))
+            assert gc.isenabled() == on
+    finally:
+        gc.enable()
+    assert seen == [False, False]
 
 
 def test_what_nothing_uses_is_left_out_and_the_same_operation_is_done_once():

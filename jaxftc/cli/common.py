@@ -54,8 +54,8 @@ def prepare(options: Options, *, gradients: bool = False) -> None:
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    flags = os.environ.get("XLA_FLAGS", "")
-    if gradients and "xla_backend_extra_options" not in flags:
+    flags = os.environ.get("XLA_FLAGS", "")  # read when JAX starts, so not to be changed later
+    if gradients and "jax" not in sys.modules and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true".strip()
     import jax
 

@@ -1,8 +1,8 @@
 """Gaussian membership in the sets of one input, Eqs. (8) to (10) and (33).
 
-Rules multiply grades and are averaged by their weights, so that grades matter up to a common factor only: all are taken
-relative to the largest, which stays finite however narrow the sets are. Set by set instead of in one array: a compiler that
-fuses would take the largest grade anew for each set.
+Rules multiply grades and are averaged by their weights, so that grades, and their derivatives, matter up to a common factor
+only: all are taken relative to the largest, a constant to the derivative, and stay finite in narrow sets. Set by set instead
+of in one array: a compiler that fuses would take the largest grade anew for each set.
 """
 
 from __future__ import annotations
