@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -190,6 +191,21 @@ def test_equal_outputs_make_table_1_a_constant(config, rng):
     gains = dataclasses.replace(jaxftc.default_gains(config).control, outputs=jnp.full(3, 1.7))
     value = gain.alpha_online(config, gains, jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=6)))
     np.testing.assert_allclose(value, 1.7, rtol=1e-12)
+
+
+def test_narrow_sets_give_the_nearest_rule_and_a_finite_slope():
+    """Single precision, sets so narrow that every grade by itself would be 0."""
+    centres, widths = jnp.linspace(-3, 3, 7, dtype=jnp.float32), jnp.full(7, 1e-4, jnp.float32)
+    outputs = jnp.array([0.3, 1.4, 2.9], jnp.float32)
+    q, s = jnp.array([-2.8, 0.3, 1.2], jnp.float32), jnp.array([-9.0, -1.2, 2.7], jnp.float32)
+
+    def infer(q, centres, widths):
+        return rules.infer(rules.PRINTED, q, s, (centres, widths), (centres, widths), outputs)
+
+    nearest = rules.PRINTED[np.round(np.asarray(q) + 3).astype(int), np.clip(np.round(np.asarray(s) + 3), 0, 6).astype(int)]
+    np.testing.assert_allclose(infer(q, centres, widths), np.asarray(outputs)[nearest], rtol=1e-6)
+    slopes = jax.grad(lambda *args: infer(*args).sum(), argnums=(0, 1, 2))(q, centres, widths)
+    assert all(np.isfinite(slope).all() for slope in slopes)
 
 
 def test_mended_tables():
