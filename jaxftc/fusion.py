@@ -39,9 +39,9 @@ LARGEST = 5_000  # operations in one function: the time to compile it grows fast
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
 
 _INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
-_FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "slice", "split", "copy", "convert_element_type"}
 _PARTS, _JOINS = {"slice", "split", "unstack"}, {"concatenate", "stack"}
-_FREE |= {"unstack", "stop_gradient", "bitcast_convert_type"}
+_FREE = {"broadcast_in_dim", "reshape", "squeeze", "expand_dims", "copy", "convert_element_type", "bitcast_convert_type"}
+_FREE |= {"stop_gradient"} | _PARTS
 _COST = {"div": 4, "sqrt": 4, "rsqrt": 4, "rem": 6, "exp": 8, "exp2": 8, "expm1": 10, "log": 10, "log1p": 15, "tanh": 12}
 _COST |= {"logistic": 12, "erf": 15, "sin": 20, "cos": 20, "tan": 30, "erf_inv": 25, "pow": 30, "atan2": 30}
 _SUMS: dict[str, Callable[[Any, Any], Any]] = {
@@ -57,7 +57,7 @@ _FUSED |= {"integer_pow", "select_n", "eq", "ne", "lt", "le", "gt", "ge", "and",
 _FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "reduce_precision", "nextafter"}
 _FUSED |= _COST.keys() | _FREE | _SUMS.keys()
 # What one function can hold.
-_PLAIN = {"scan", "concatenate", "stack", "pad", "iota", "transpose", "rev", "dynamic_slice", "dot_general"} | _FUSED
+_PLAIN = {"scan", "pad", "iota", "transpose", "rev", "dynamic_slice", "dot_general"} | _JOINS | _FUSED
 _PLAIN |= {"random_bits", "random_fold_in", "random_wrap", "random_unwrap"}
 
 

@@ -60,9 +60,9 @@ def prepare(options: Options, *, gradients: bool = False) -> None:
     import jax
 
     if gradients:
-        jax.config.update(
-            "jax_num_cpu_devices", len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        )
+        from jaxftc.parallel import cores
+
+        jax.config.update("jax_num_cpu_devices", cores())
     if options.cache:
         home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
         jax.config.update("jax_compilation_cache_dir", str(home / "jaxftc" / "xla"))
