@@ -49,9 +49,8 @@ def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
     gradient = workloads.gradient(config, gains, task.batch)
 
     def summary() -> dict[str, Any]:
-        terms, slopes = gradient()
-        finite = bool(np.isfinite(terms).all() and np.isfinite(slopes).all())
-        return {"finite": finite, "terms": terms.mean(1).tolist(), "slope": slopes.mean(1).tolist()}
+        terms, theta = gradient()
+        return {"finite": bool(np.isfinite(terms).all() and np.isfinite(theta).all()), "theta": theta.tolist()}
 
     return summary
 

@@ -21,6 +21,7 @@ from jaxftc.config import Config
 from jaxftc.faults.scenario import paper_scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.monte_carlo.score import Score
+from tuning.settings import ROUND
 
 COMPARED = 8  # scenarios of the closed loop that are run again by ``simulate``
 
@@ -138,7 +139,7 @@ def gradient(setup: Setup, results: Results) -> None:
         with Worker(setup.task("gradient", batch=sizes.memory), cache) as large:
             answer, size = large(), large.memory()
         results.check("gradient of the largest batch, values that are not finite", float(not answer["value"]["finite"]), 0.0)
-        rows.append((sizes.memory, sizes.memory * config.ticks / answer["seconds"]))
+        rows.append((sizes.memory, ROUND * sizes.memory * config.ticks / answer["seconds"]))
     results.metrics |= {"grad_memory_gib": size / 2**30, "grad_peak_gib": answer["peak_bytes"] / 2**30}
     results.tables["gradient"] = Table("Gradient for all gains", ("scenarios", "scenario-steps/s"), rows)
     if sizes.everything:
@@ -148,11 +149,12 @@ def gradient(setup: Setup, results: Results) -> None:
 def _race_gradient(setup: Setup, results: Results, config: Config, gains: Gains, worker: Worker) -> None:
     sizes = setup.sizes
     laps = race({"gradient": worker, "loop": workloads.loop(config, gains, sizes.loop)}, sizes.rounds)
-    rates = [count * config.ticks / laps[n].best for n, count in (("gradient", sizes.gradient), ("loop", sizes.loop))]
+    counts = {"gradient": ROUND * sizes.gradient, "loop": sizes.loop}
+    rates = [count * config.ticks / laps[name].best for name, count in counts.items()]
     results.metrics |= {"grad_steps_per_s": rates[0], "grad_over_forward": rates[1] / rates[0]}
     now, before = laps["gradient"].result["value"], worker.value
     results.check("gradient, values that are not finite", float(not now["finite"]), 0.0)
-    results.check("gradient, difference between two calls", apart(now["slope"], before["slope"]), 0.0)
+    results.check("gradient, difference between two calls", apart(now["theta"], before["theta"]), 0.0)
 
 
 def tick(setup: Setup, results: Results) -> None:

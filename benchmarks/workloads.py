@@ -22,7 +22,9 @@ from jaxftc.monte_carlo import run
 from jaxftc.tick import Tick
 from jaxftc.types import Measurement, Reference
 from tuning import transform
+from tuning.descent import Descent
 from tuning.problem import Problem
+from tuning.settings import ROUND, Settings
 from tuning.terms import OBJECTIVE
 
 Array = np.ndarray
@@ -114,13 +116,18 @@ def loop(config: Config, gains: Gains, batch: int, lanes: int | None = None) -> 
 
 
 def gradient(config: Config, gains: Gains, batch: int) -> Callable[[], tuple[Array, Array]]:
-    """Terms [terms, B] of the tuning objective, and a gradient of the loss a scenario [size, B]: one step of ``tune``."""
+    """A round of ``tune``, as one program: terms [ROUND, terms] of ROUND gradient steps, and theta [size] behind them."""
     problem = Problem(config, OBJECTIVE, jax.random.key(NOISE), batch)
     space = transform.space(config, gains, transform.select(config))
-    slope = jit(problem.slope(space, "reverse"))
-    theta, one, before = jnp.zeros(space.size), jnp.ones(()), jnp.zeros((len(OBJECTIVE), batch))
-    scenarios = trail(drawn(config, batch))
-    return lambda: jax.tree.map(np.asarray, slope(problem.key, theta, one, scenarios, before))
+    descent = Descent(problem, space, mode="reverse", optimizer="adam", rate=Settings.learning_rate, steps=ROUND)
+    start, widen, before = descent.init(np.zeros(space.size)), np.ones(ROUND), np.zeros((ROUND, len(OBJECTIVE), batch))
+    scenarios = jax.tree.map(lambda leaf: np.stack([leaf] * ROUND), trail(drawn(config, batch)))
+
+    def call() -> tuple[Array, Array]:
+        end, steps = descent.round(start, widen, scenarios, before)
+        return np.asarray(steps.terms), np.asarray(end.theta)
+
+    return call
 
 
 def largest_program() -> int:

@@ -10,6 +10,7 @@ installed XLA knows them; other backends compile as they do.
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable
 from typing import Any
 
@@ -67,6 +68,9 @@ def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
 
 
 def _small(*values: object) -> bool:
+    """True for arguments of a small program; none is where loops may have several results, or compiling takes minutes."""
+    if "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", ""):
+        return False
     return all(leaf.size <= SMALL for leaf in jax.tree.leaves(values) if getattr(leaf, "ndim", 0) > 1)
 
 

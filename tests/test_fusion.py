@@ -84,14 +84,26 @@ def test_an_array_that_is_computed_and_taken_apart_is_stored():
 
 
 def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
-    x = jnp.linspace(1, 2, 4 * 2 * LANES).reshape(4, 2, LANES)
+    x = jnp.linspace(1, 2, 4 * 2 * 512).reshape(4, 2, 512)
 
     def barriers(body):
-        text = str(jax.make_jaxpr(planned(lambda x: jax.lax.scan(body, jnp.zeros(LANES), x)))(x))
+        text = str(jax.make_jaxpr(planned(lambda x: jax.lax.scan(body, jnp.zeros(512), x)))(x))
         return text.count("optimization_barrier")
 
     assert barriers(lambda carry, x: (carry + x[0] * x[1], None)) == 1
     assert barriers(lambda carry, x: (carry + x.sum(), None)) == 0
+
+
+def test_a_loop_over_little_has_no_fences_and_so_compiles():
+    def small_loop(large, x):
+        def body(x, _):
+            joined = jnp.stack([jnp.sin(x[0]) * x[1], x[0] + x[1]])
+            return jnp.stack([joined[1], jnp.tanh(joined[0])]), x
+
+        return large * jax.lax.scan(body, x, None, length=5)[1].sum()
+
+    large, x = jnp.ones((4, LANES)), jnp.array([0.5, 0.25])
+    np.testing.assert_allclose(jaxftc.jit(small_loop)(large, x), small_loop(large, x), rtol=1e-6)
 
 
 def test_there_are_few_fences_around_a_loop_and_the_usual_ones_in_it():
@@ -176,6 +188,12 @@ def test_programs_on_large_arrays_are_planned_and_small_ones_are_not(monkeypatch
     for shape in ((6,), (6, LANES)):
         assert double(jnp.ones(shape)).shape == shape
     assert seen == ([(6, LANES)] if jax.default_backend() == "cpu" else [])
+
+
+def test_where_loops_have_several_results_no_program_is_small(monkeypatch):
+    monkeypatch.setattr(compiling, "whole", lambda fun: pytest.fail("takes minutes to compile"))
+    monkeypatch.setenv("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true")
+    assert compiling.jit(lambda x: 2 * x)(jnp.ones(6)).shape == (6,)
 
 
 @pytest.mark.parametrize("small", [False, True])

@@ -164,7 +164,7 @@ class Campaign(Laws):
             job, manifest = begin(folder, job, request, share, bar.update, note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
             progress = complete(folder, job, self.n, bar.update, note)
-        rows = store.read_rows(folder, self.n)
+        rows = store.Columns(folder, self.n)
         result = summary.summarise(rows, name) | {"scenario_steps_per_s": progress.rate, "rows_kept": progress.kept}
         calibration = manifest.get("calibration")
         if calibration and not (calibration["met"] and calibration["settled"]):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -209,7 +209,7 @@ def load(folder: Path, base: Config) -> Job:
     )
 
 
-def worst(job: Job, rows: dict[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:
+def worst(job: Job, rows: Mapping[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:
     """Rows and traces of the worst scenarios: diverged, missed, judged wrongly, alarmed falsely, then tracked badly."""
     missed = np.isinf(rows["delay_s"])
     order = np.lexsort((rows["tracking_rmse_deg"], rows["false_alarm"], ~rows["verdict_right"], missed, rows["diverged"]))

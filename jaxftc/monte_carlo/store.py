@@ -8,10 +8,12 @@ the campaign's length, so a longer campaign goes on from a shorter one.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import os
+import sys
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +23,7 @@ import tomli_w
 from jaxftc.files import write_parquet, write_text
 
 MANIFEST, GAINS, PRESET, SUMMARY, REPORT = "manifest.toml", "gains.toml", "preset.toml", "summary.json", "report.html"
+KEPT = 8  # columns of a campaign in memory
 
 
 class Chunk(NamedTuple):
@@ -165,15 +168,51 @@ def read_rows(folder: Path, n: int, columns: str = "*", where: str = "true") -> 
 
     In the files a figure that does not apply is null; here it is not a number.
     """
+    files = _files(folder, n)
+    return _query(files, n, columns, where) if files else {}
+
+
+class Columns(Mapping[str, np.ndarray]):
+    """The first n scenarios' rows, in the order of their ids: columns that are read when they are asked for.
+
+    A few are kept, so that a million rows need no more memory than a few columns of them do.
+    """
+
+    def __init__(self, folder: Path, n: int) -> None:
+        files = _files(folder, n)
+        self._names = tuple(_query(files[:1], 0, "*", "true"))
+        self._read = functools.lru_cache(maxsize=KEPT)(lambda name: _query(files, n, f'"{name}"', "true")[name])
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._names:
+            raise KeyError(name)
+        return self._read(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+def _files(folder: Path, n: int) -> list[str]:
+    """Files that hold rows of the first n scenarios."""
+    return [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
+
+
+def _query(files: list[str], n: int, columns: str, where: str) -> dict[str, np.ndarray]:
     import duckdb
 
-    files = [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
-    if not files:
-        return {}
     query = f"select {columns} from read_parquet($files) where scenario_id < $n and ({where}) order by scenario_id"
     with duckdb.connect() as connection:
         found = connection.execute(query, {"files": files, "n": n}).fetchnumpy()
-    return {
-        name: np.ma.filled(column, np.nan) if column.dtype.kind == "f" else np.asarray(column)
-        for name, column in found.items()
-    }
+    return {name: _plain(column) for name, column in found.items()}
+
+
+def _plain(column: np.ndarray) -> np.ndarray:
+    """Null as not a number, and one object for each different text."""
+    if column.dtype.kind == "f":
+        return np.ma.filled(column, np.nan)
+    if column.dtype.kind == "O":
+        return np.array([sys.intern(text) for text in column], dtype=object)
+    return np.asarray(column)

@@ -1,8 +1,13 @@
-"""What a table of rows says: shares and medians with 95 % intervals, by kind of fault, and the threshold trade-off."""
+"""What a table of rows says: shares and medians with 95 % intervals, by kind of fault, and the threshold trade-off.
+
+A figure is taken of all kinds of fault before the next, so that a table that reads its columns when they are asked for reads
+each of them about once.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +27,23 @@ ERRORS = {  # and the kinds of scenario that they are taken over: an estimate co
 MORE = ("tracking_max_deg", "rough", "effort", "peak", "saturated_share")  # beside them, by kind of fault
 FIXED = 0.01  # share of healthy runs with an alarm at which delays are compared
 
-Table = dict[str, np.ndarray]
+Table = Mapping[str, np.ndarray]
+
+
+class Part(Mapping[str, np.ndarray]):
+    """Some rows of a table."""
+
+    def __init__(self, rows: Table, where: np.ndarray) -> None:
+        self._rows, self._where = rows, where
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._rows[name][self._where]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
 
 
 def summarise(rows: Table, scheme: str) -> dict[str, Any]:
@@ -33,21 +54,23 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     found = {"n": len(kind), "scheme": scheme, "n_healthy": int(healthy.sum()), "diverged": int(rows["diverged"].sum())}
     found |= _share("false_alarm_runs", rows["false_alarm"][healthy])
     found |= _share("false_alarm_before_onset", rows["false_alarm"][early])
-    found |= _faults(_where(rows, faulty))
+    found |= _detection(Part(rows, faulty))
     found["n_by_kind"] = {name: int((kind == name).sum()) for name in VERDICTS}
     delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
     found["confusion"] = confusion(rows).tolist()
-    found["by_kind"] = {name: _faults(part) | _delays(part) for name, part in by_kind(rows).items()}
+    found["by_kind"] = _by_kind(rows)
     found["errors"] = {name: _number(median(rows[name][np.isin(kind, kinds)]).value) for name, kinds in ERRORS.items()}
-    return found | {"roc": roc(rows), "at_fixed_false_alarms": at_fixed(rows)}
+    curve = roc(rows)
+    return found | {"roc": curve, "at_fixed_false_alarms": _at_fixed(curve)}
 
 
-def by_kind(rows: Table) -> dict[str, Table]:
+def by_kind(rows: Table) -> dict[str, Part]:
     """The rows of each kind of fault, by its name: ``actuator bias``, ``both bias + drift``."""
-    names = sorted(set(rows["fault"]) - {VERDICTS[NORMAL]})
-    return {str(name): _where(rows, rows["fault"] == name) for name in names}
+    fault = rows["fault"]
+    names = sorted(set(fault) - {VERDICTS[NORMAL]})
+    return {str(name): Part(rows, np.flatnonzero(fault == name)) for name in names}
 
 
 def confusion(rows: Table) -> np.ndarray:
@@ -63,18 +86,23 @@ def roc(rows: Table) -> dict[str, Any]:
     """
     kind = rows["kind"]
     healthy = rows["healthy_ratio"][kind == VERDICTS[NORMAL]]
-    crossed = {name: np.stack([rows[column][kind == name] for column in CROSSINGS]) for name in FAULTY}
+    detection: dict[str, list[float | None]] = {name: [] for name in FAULTY}
+    delay: dict[str, list[float | None]] = {name: [] for name in FAULTY}
+    for column in CROSSINGS:
+        for name in FAULTY:
+            crossed = rows[column][kind == name]
+            detection[name].append(_number(_mean(np.isfinite(crossed))))
+            delay[name].append(_number(median(crossed).value))
     return {
         "scale": [round(float(level), 4) for level in LEVELS],
         "false_alarm_runs": [_number(share(int((healthy >= level).sum()), len(healthy)).value) for level in LEVELS],
-        "detection": {name: [_number(_mean(np.isfinite(c))) for c in delays] for name, delays in crossed.items()},
-        "delay_median_s": {name: [_number(median(c).value) for c in delays] for name, delays in crossed.items()},
+        "detection": detection,
+        "delay_median_s": delay,
     }
 
 
-def at_fixed(rows: Table) -> dict[str, Any]:
+def _at_fixed(curve: dict[str, Any]) -> dict[str, Any]:
     """Detection and delay at the smallest scale of the ROC at which at most FIXED of the healthy runs raise an alarm."""
-    curve = roc(rows)
     enough = [k for k, value in enumerate(curve["false_alarm_runs"]) if value is not None and value <= FIXED]
     if not enough:
         return {"false_alarm_runs": FIXED, "scale": None}
@@ -83,7 +111,16 @@ def at_fixed(rows: Table) -> dict[str, Any]:
     return {"false_alarm_runs": curve["false_alarm_runs"][k], "scale": curve["scale"][k]} | picked
 
 
-def _faults(rows: Table) -> dict[str, Any]:
+def _by_kind(rows: Table) -> dict[str, dict[str, Any]]:
+    parts = by_kind(rows)
+    found = {name: _detection(part) for name, part in parts.items()}
+    for column in ("delay_s", "isolated_s", "recovery_s", *ERRORS, *MORE):
+        for name, part in parts.items():
+            found[name] |= _median(column, part[column])
+    return found
+
+
+def _detection(rows: Table) -> dict[str, Any]:
     """Detection, and isolation among the detected."""
     detected = rows["detected"]
     found: dict[str, Any] = {"n_faults": len(detected)} | _share("detection", detected)
@@ -96,21 +133,15 @@ def _faults(rows: Table) -> dict[str, Any]:
     return found
 
 
-def _delays(rows: Table) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, column in (("delay_median_s", "delay_s"), ("isolated_median_s", "isolated_s")):
-        interval = median(rows[column])
-        found |= {name: _number(interval.value), f"{name}_95": _bounds(interval)}
-    recovery = median(rows["recovery_s"][~np.isnan(rows["recovery_s"])])
-    return (
-        found
-        | {"recovery_median_s": _number(recovery.value)}
-        | {e: _number(median(rows[e]).value) for e in (*ERRORS, *MORE)}
-    )
-
-
-def _where(rows: Table, mask: np.ndarray) -> Table:
-    return {name: column[mask] for name, column in rows.items()}
+def _median(column: str, values: np.ndarray) -> dict[str, Any]:
+    """Under the column's name; a time's as ``<name>_median_s``, of a delay with its interval."""
+    if not column.endswith("_s"):
+        return {column: _number(median(values).value)}
+    name = f"{column[:-2]}_median_s"
+    if column == "recovery_s":
+        return {name: _number(median(values[~np.isnan(values)]).value)}
+    interval = median(values)
+    return {name: _number(interval.value), f"{name}_95": _bounds(interval)}
 
 
 def _mean(x: np.ndarray) -> float:

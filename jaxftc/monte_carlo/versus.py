@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are o
 WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
 
 
-def against(rows: dict[str, Table]) -> list[dict[str, Any]]:
+def against(rows: Mapping[str, Table]) -> list[dict[str, Any]]:
     """The first scheme against each other one, by kind of scenario, paired by scenario.
 
     ``earlier`` is the share of faults that the first finds sooner among those that one of them finds sooner;
