@@ -18,6 +18,7 @@ from benchmarks.peers import mjx_default
 from benchmarks.worker import Task
 from jaxftc.cli import common
 from jaxftc.config import Config
+from tuning.problem import LOST
 
 
 def serve(task: Task, options: common.Options) -> None:
@@ -49,8 +50,9 @@ def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
     gradient = workloads.gradient(config, gains, task.batch)
 
     def summary() -> dict[str, Any]:
-        terms, theta = gradient()
-        return {"finite": bool(np.isfinite(terms).all() and np.isfinite(theta).all()), "theta": theta.tolist()}
+        state, steps = gradient()
+        sound = (steps.terms < LOST).all() and np.isfinite(state.theta).all() and (steps.gradient_norm > 0).all()
+        return {"sound": bool(sound), "terms": steps.terms.tolist(), "theta": state.theta.tolist()}
 
     return summary
 

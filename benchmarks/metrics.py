@@ -51,7 +51,7 @@ METRICS = (
     *_of(
         "gradient",
         ("grad_over_forward", TIMES, LOWER, "time of a gradient for all gains over the forward run's", 0.2),
-        ("grad_steps_per_s", RATE, HIGHER, "gradient of the tuning loss for all gains, chain, all cores"),
+        ("grad_steps_per_s", RATE, HIGHER, "five steps of jaxftc tune, gradient for all gains, chain, all cores"),
         ("grad_memory_gib", "GiB", LOWER, "what its compiler sets aside for 1,024 scenarios x 1,000 steps", 0.1),
         ("grad_peak_gib", "GiB", LOWER, "peak resident memory of a process that runs it"),
         ("compile_grad_s", "s", LOWER, "compiling the gradient, empty cache"),

@@ -22,7 +22,7 @@ from jaxftc.monte_carlo import run
 from jaxftc.tick import Tick
 from jaxftc.types import Measurement, Reference
 from tuning import transform
-from tuning.descent import Descent
+from tuning.descent import Descent, State, Steps
 from tuning.problem import Problem
 from tuning.settings import ROUND, Settings
 from tuning.terms import OBJECTIVE
@@ -115,19 +115,14 @@ def loop(config: Config, gains: Gains, batch: int, lanes: int | None = None) -> 
     return call
 
 
-def gradient(config: Config, gains: Gains, batch: int) -> Callable[[], tuple[Array, Array]]:
-    """A round of ``tune``, as one program: terms [ROUND, terms] of ROUND gradient steps, and theta [size] behind them."""
+def gradient(config: Config, gains: Gains, batch: int) -> Callable[[], tuple[State, Steps]]:
+    """A round of ``tune``, as one program: ROUND gradient steps over batches of scenarios; everything as NumPy arrays."""
     problem = Problem(config, OBJECTIVE, jax.random.key(NOISE), batch)
     space = transform.space(config, gains, transform.select(config))
     descent = Descent(problem, space, mode="reverse", optimizer="adam", rate=Settings.learning_rate, steps=ROUND)
     start, widen, before = descent.init(np.zeros(space.size)), np.ones(ROUND), np.zeros((ROUND, len(OBJECTIVE), batch))
     scenarios = jax.tree.map(lambda leaf: np.stack([leaf] * ROUND), trail(drawn(config, batch)))
-
-    def call() -> tuple[Array, Array]:
-        end, steps = descent.round(start, widen, scenarios, before)
-        return np.asarray(steps.terms), np.asarray(end.theta)
-
-    return call
+    return lambda: descent.round(start, widen, scenarios, before)
 
 
 def largest_program() -> int:

@@ -1,10 +1,10 @@
 """The one place where functions are compiled by this library.
 
 On the CPU, XLA's own way makes a step of many small operations 20 to 140 times slower than need be. There are two ways out
-(``fusion.py``), by the size of what a program is given. Programs on large arrays are fenced, and the pass that strips fences
-before XLA fuses is switched off. Programs on small arrays, single arms first of all, have little to gain from vector units:
-they become one function, which only XLA's older code path can emit. Options are set per compilation, and only where the
-installed XLA knows them; other backends compile as they do.
+(``fusion.py``), by the size of what a program is given. Programs on large arrays are fenced; the pass that strips fences
+before XLA fuses is switched off, and so is XLA's own way with small loops, which knows no fences. Programs on small arrays,
+single arms first of all, have little to gain from vector units: they become one function, which only XLA's older code path
+can emit. Options are set per compilation, and only where the installed XLA knows them; other backends compile as they do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jaxftc.fusion import planned, whole
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
 _WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
-_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander"}
+_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander,small-while-loop-hoisting"}
 
 
 @functools.cache
@@ -68,7 +68,7 @@ def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
 
 
 def _small(*values: object) -> bool:
-    """True for arguments of a small program; none is where loops may have several results, or compiling takes minutes."""
+    """True for arguments of a small program; none is one where loops may have several results: it compiles for minutes."""
     if "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", ""):
         return False
     return all(leaf.size <= SMALL for leaf in jax.tree.leaves(values) if getattr(leaf, "ndim", 0) > 1)

@@ -34,7 +34,6 @@ from jax.extend.core import ClosedJaxpr, Literal
 
 STORE = 12_000.0  # element operations that storing a value and reading it back is worth, with the call of one more loop
 ONCE = 1e5  # the same around a loop over time, where compiling one more loop takes longer than what it saves
-LEAST = 256  # elements of an array with a fence on account of its parts; XLA's own way with loops below 1 kB knows no fences
 LONGEST = 300.0  # operations in one loop: longer ones run out of registers and compile slowly
 LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
@@ -262,8 +261,7 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
             continue
         repeated = (len(readers[k]) - 1) * cone[k] * step.size
         joined = any(stored[reader] for reader in readers[k]) and (not around or cone[k] * step.size > store)
-        parts = joined or not cut.isdisjoint(step.outputs)
-        if repeated > store or cone[k] > LONGEST or (parts and step.size >= LEAST):
+        if repeated > store or cone[k] > LONGEST or joined or not cut.isdisjoint(step.outputs):
             fenced.add(k)
 
     loops: list[set[int]] = [set() for _ in steps]
@@ -274,8 +272,7 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
         lone = len(loops[k]) == 1 and cut.isdisjoint(steps[k].outputs)
         if k in fenced and lone and cone[k] <= LONGEST and not any(stored[u] for u in loops[k]):
             fenced.discard(k)  # its readers all end in one loop, which computes it once
-    joins = {k for k, step in enumerate(steps) if step.primitive.name in _JOINS and step.size >= LEAST}
-    return fenced if around else fenced | joins
+    return fenced if around else fenced | {k for k, step in enumerate(steps) if step.primitive.name in _JOINS}
 
 
 def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
@@ -307,8 +304,7 @@ def _scan(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any
     cut = [value in inner.cut for value in inner.inputs[consts + carried :]]
 
     def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], list[Any]]:
-        fences = [parts and part.size >= LEAST for parts, part in zip(cut, x, strict=True)]
-        x = [lax.optimization_barrier(part) if fence else part for fence, part in zip(fences, x, strict=True)]
+        x = [lax.optimization_barrier(part) if parts else part for part, parts in zip(x, cut, strict=True)]
         results = evaluate(inner, [*inputs[:consts], *carry, *x])
         return results[:carried], results[carried:]
 

@@ -63,6 +63,24 @@ def assert_same_rows(one, other):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
+def test_columns_read_one_by_one_are_those_of_the_rows(folder, tmp_path, monkeypatch):
+    """Several chunks, the last of them cut, with room for two columns."""
+    out, printed = folder
+    rows = rows_of(out)
+    monkeypatch.setattr(store, "KEPT", 2)
+    store.write_manifest(tmp_path, store.read_manifest(out) | {"chunk": 64})
+    for chunk in store.chunks(tmp_path, 300, 64):
+        store.write_chunk(chunk, {name: column[chunk.ids] for name, column in rows.items()})
+    assert_same_rows(dict(store.Columns(tmp_path, 300)), rows)
+    assert_same_rows(dict(store.Columns(tmp_path, 70)), {name: column[:70] for name, column in rows.items()})
+    columns = store.Columns(tmp_path, 300)
+    assert len(columns) == len(rows) and "nothing" not in columns
+    found = summary.summarise(columns, "cascade")
+    assert found == summary.summarise(rows, "cascade") == {name: printed[name] for name in found}
+    with pytest.raises(ValueError, match="holds no rows; run jaxftc campaign"):
+        store.Columns(tmp_path, 0)
+
+
 def test_json_is_the_summary_with_every_promised_key(folder):
     out, printed = folder
     assert printed == json.loads((out / "summary.json").read_text())

@@ -94,7 +94,7 @@ def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
     assert barriers(lambda carry, x: (carry + x.sum(), None)) == 0
 
 
-def test_a_loop_over_little_has_no_fences_and_so_compiles():
+def test_a_loop_over_little_compiles_with_fences():
     def small_loop(large, x):
         def body(x, _):
             joined = jnp.stack([jnp.sin(x[0]) * x[1], x[0] + x[1]])

@@ -348,9 +348,9 @@ def test_a_folder_is_no_film(tmp_path):
 def test_what_is_not_installed_is_named(tmp_path, monkeypatch):
     spec = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name in ("av", "PIL") else spec(name))
-    with refuses("writing .mp4 needs av and PIL; pip install 'jaxftc[view]'"):
+    with refuses("writing .mp4 needs PyAV and Pillow; pip install 'jaxftc[view]'"):
         film.check(tmp_path / "film.mp4", 640, 480, 30.0)
-    with refuses("writing .gif needs PIL; pip install"):
+    with refuses("writing .gif needs Pillow; pip install"):
         film.check(tmp_path / "film.gif", 640, 480, 30.0)
 
 

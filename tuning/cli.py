@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import secrets
+import shlex
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -89,7 +90,7 @@ class Tune(common.Options):
         validation = sample_scenarios(validate, self.settings.validation, preset, config=config)
         folder = common.make_folder(self, "tune")
         if self.out is None:
-            common.say(self, f"If it is stopped, go on with --out {folder}")
+            common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
         with Bar(config) as bar:
             result = fit(
                 config,
@@ -113,10 +114,11 @@ class Tune(common.Options):
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
         common.say(self, summary(result, comparisons, seed))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
-        arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else f"--robot {self.robot}"
+        arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else f"--robot {shlex.quote(self.robot)}"
         words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
         if self.rules == "printed":
-            common.say(self, f"See them at work: {' '.join(filter(None, words))} --gains {folder / 'gains.toml'}")
+            words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
+            common.say(self, f"See them at work: {' '.join(filter(None, words))}")
         if self.json:
             print(text)
 

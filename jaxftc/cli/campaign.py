@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -98,7 +99,7 @@ class Campaign(Laws):
             allowed(HEALTHY // 2, share, 0.95)
         folder = common.make_folder(self, "campaign")
         if self.out is None:
-            common.say(self, f"If it is stopped, go on with --out {folder}")
+            common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
         folders = {name: folder / name if self.compare else folder for name in names}
         requests = {name: self._request(job, name, share) for name, job in jobs.items()}
         found: dict[str, dict[str, Any]] = {}
@@ -109,7 +110,7 @@ class Campaign(Laws):
                 found[name] = self._one(folders[name], job, requests[name], share)
         common.say(self, versus.as_text(found))
         if self.compare:
-            rows = {name: store.read_rows(folders[name], self.n, versus.PAIRED) for name in names}
+            rows = {name: store.Columns(folders[name], self.n) for name in names}
             pairs = versus.against(rows)
             common.say(self, versus.pairs_as_text(pairs))
             text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs})

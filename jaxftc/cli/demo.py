@@ -41,6 +41,7 @@ class Demo(common.Options):
 
 def table(rows: list[Row]) -> str:
     """The comparison table as text."""
+    from jaxftc.metrics import SETTLE
     from jaxftc.report.demo import comparison
 
     head, units, cells = comparison(rows)
@@ -50,7 +51,8 @@ def table(rows: list[Row]) -> str:
         "  ".join(cell.ljust(w) if k < 3 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
         for line in lines
     ]
-    note = "told apart: every joint's verdict is right 60 ms after the first alarm; chattering: torque travel over its limit"
+    note = f"told apart: every joint's verdict is right {1e3 * SETTLE:.0f} ms after the first alarm; "
+    note += "chattering: torque travel over its limit"
     return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], note])
 
 

@@ -160,6 +160,8 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
 
 def table(title: str, result: dict[str, Any]) -> str:
     """The run as text."""
+    from jaxftc.metrics import SETTLE
+
     lines = [title, ""]
     head = f"{'joint':8}{'torque est.':>13}{'angle est.':>13}{'tracking':>12}{'peak torque':>13}  {'truth':9}{'verdict':9}"
     lines += [head, f"{'':8}{'rms N m':>13}{'rms deg':>13}{'rms deg':>12}{'N m':>13}", "-" * len(head)]
@@ -173,7 +175,8 @@ def table(title: str, result: dict[str, Any]) -> str:
     else:
         delay = "none" if result["delay_s"] is None else f"{result['delay_s'] * 1e3:.0f} ms after onset"
         lines.append(
-            f"\nfirst alarm: {delay}; every joint's verdict right 60 ms later: {'yes' if result['isolated'] else 'no'}"
+            f"\nfirst alarm: {delay}; every joint's verdict right {1e3 * SETTLE:.0f} ms later: "
+            f"{'yes' if result['isolated'] else 'no'}"
         )
     if result["false_alarm_s"] is not None:
         lines.append(f"FALSE ALARM at {result['false_alarm_s']:.3f} s: an alarm was up where no fault was")

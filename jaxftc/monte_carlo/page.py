@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import math
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ def campaign(
     ]
     for row, trace in worst:
         title = f"Scenario {row['scenario_id']}: {row['kind']} {row['fault_tau']} {row['fault_q']}".strip()
-        command = f"jaxftc simulate --from {folder} --id {row['scenario_id']}"
+        command = f"jaxftc simulate --from {shlex.quote(str(folder))} --id {row['scenario_id']}"
         sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
         columns = metrics.columns(trace)
         sections += [embed(residual_figure(config, columns, "Residuals", _shown(row)))]
@@ -74,7 +75,8 @@ def confusion(result: dict[str, Any]) -> go.Figure:
         go.Heatmap(z=shares, x=VERDICTS, y=VERDICTS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
     )
     figure.update_yaxes(autorange="reversed", title_text="true kind")
-    figure = finish(figure, "Verdict 60 ms after the alarm", "Counts, and shares of the row; normal: no alarm.")
+    title = f"Verdict {1e3 * metrics.SETTLE:.0f} ms after the alarm"
+    figure = finish(figure, title, "Counts, and shares of the row; normal: no alarm.")
     return figure.update_xaxes(title_text="said")
 
 
@@ -177,4 +179,5 @@ def _fate(row: dict[str, Any]) -> str:
     if math.isinf(row["delay_s"]):
         return f"{text}missed{false}"
     blamed = f"joint {row['joint_hat']} first" if row["joint_hat"] else "no joint"
-    return f"{text}alarm after {1e3 * row['delay_s']:.0f} ms, 60 ms later said {row['kind_hat']}, {blamed}{false}"
+    after, later = (f"{1e3 * seconds:.0f} ms" for seconds in (row["delay_s"], metrics.SETTLE))
+    return f"{text}alarm after {after}, {later} later said {row['kind_hat']}, {blamed}{false}"

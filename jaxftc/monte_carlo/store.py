@@ -11,7 +11,6 @@ import contextlib
 import functools
 import hashlib
 import os
-import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,7 +22,7 @@ import tomli_w
 from jaxftc.files import write_parquet, write_text
 
 MANIFEST, GAINS, PRESET, SUMMARY, REPORT = "manifest.toml", "gains.toml", "preset.toml", "summary.json", "report.html"
-KEPT = 8  # columns of a campaign in memory
+KEPT = 4  # columns of a campaign in memory
 
 
 class Chunk(NamedTuple):
@@ -161,58 +160,66 @@ def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> None:
     write_parquet(chunk.path, rows)
 
 
-def read_rows(folder: Path, n: int, columns: str = "*", where: str = "true") -> dict[str, np.ndarray]:
-    """Columns of the first n scenarios that are there, in the order of their ids; nothing if there are none.
+def read_rows(folder: Path, n: int, where: str = "true") -> dict[str, np.ndarray]:
+    """All columns of the first n scenarios that are there, in the order of their ids; nothing if there are none.
 
     ``where`` is a condition in SQL.
 
     In the files a figure that does not apply is null; here it is not a number.
     """
     files = _files(folder, n)
-    return _query(files, n, columns, where) if files else {}
+    return _query(f"select * {_ROWS} and ({where})", {"files": files, "n": n}) if files else {}
 
 
 class Columns(Mapping[str, np.ndarray]):
     """The first n scenarios' rows, in the order of their ids: columns that are read when they are asked for.
 
     A few are kept, so that a million rows need no more memory than a few columns of them do.
+
+    Raises:
+        ValueError: there are none.
     """
 
     def __init__(self, folder: Path, n: int) -> None:
-        files = _files(folder, n)
-        self._names = tuple(_query(files[:1], 0, "*", "true"))
-        self._read = functools.lru_cache(maxsize=KEPT)(lambda name: _query(files, n, f'"{name}"', "true")[name])
+        self._rows = {"files": _files(folder, n), "n": n}
+        if not self._rows["files"]:
+            raise ValueError(f"{folder} holds no rows; run jaxftc campaign with --out {folder}")
+        described = _query("describe select * from read_parquet($files)", {"files": self._rows["files"]})
+        self._types = dict(zip(described["column_name"], described["column_type"], strict=True))
+        self._read = functools.lru_cache(maxsize=KEPT)(self._fresh)
+
+    def _fresh(self, name: str) -> np.ndarray:
+        if self._types[name] != "VARCHAR":
+            return _query(f'select "{name}" {_ROWS}', self._rows)[name]
+        texts = np.sort(_query(f'select distinct "{name}" {_ROWS}', self._rows)[name])  # one object for each
+        place = f'select list_position($texts, "{name}") - 1 as place {_ROWS}'
+        return texts[_query(place, self._rows | {"texts": texts.tolist()})["place"]]
 
     def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._names:
-            raise KeyError(name)
         return self._read(name)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self._types)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._types)
+
+
+# In the order of the files, which is that of the ids: sorting would hold several copies of them.
+_ROWS = "from read_parquet($files) where scenario_id < $n"
 
 
 def _files(folder: Path, n: int) -> list[str]:
-    """Files that hold rows of the first n scenarios."""
+    """Files that hold rows of the first n scenarios, in the order of their ids."""
     return [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
 
 
-def _query(files: list[str], n: int, columns: str, where: str) -> dict[str, np.ndarray]:
+def _query(query: str, parameters: dict[str, Any]) -> dict[str, np.ndarray]:
     import duckdb
 
-    query = f"select {columns} from read_parquet($files) where scenario_id < $n and ({where}) order by scenario_id"
     with duckdb.connect() as connection:
-        found = connection.execute(query, {"files": files, "n": n}).fetchnumpy()
-    return {name: _plain(column) for name, column in found.items()}
-
-
-def _plain(column: np.ndarray) -> np.ndarray:
-    """Null as not a number, and one object for each different text."""
-    if column.dtype.kind == "f":
-        return np.ma.filled(column, np.nan)
-    if column.dtype.kind == "O":
-        return np.array([sys.intern(text) for text in column], dtype=object)
-    return np.asarray(column)
+        found = connection.execute(query, parameters).fetchnumpy()
+    return {
+        name: np.ma.filled(column, np.nan) if column.dtype.kind == "f" else np.asarray(column)
+        for name, column in found.items()
+    }

@@ -1,7 +1,6 @@
 """What a table of rows says: shares and medians with 95 % intervals, by kind of fault, and the threshold trade-off.
 
-A figure is taken of all kinds of fault before the next, so that a table that reads its columns when they are asked for reads
-each of them about once.
+A figure is taken of all kinds of fault before the next: for a table that reads its columns when they are asked for.
 """
 
 from __future__ import annotations

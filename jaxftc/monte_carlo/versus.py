@@ -11,7 +11,6 @@ import numpy as np
 from jaxftc.monte_carlo.summary import ERRORS, FAULTY, Table
 from jaxftc.statistics import Interval, median, share
 
-PAIRED = "scenario_id, kind, delay_s, fault_tau_rmse_nm, fault_q_rmse_deg, tracking_rmse_deg, chattering"  # columns
 UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
 WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
 

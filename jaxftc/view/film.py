@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
     from jaxftc.view.scene import Scene
 
-NEEDS = {".mp4": ("av", "PIL"), ".gif": ("PIL",), ".png": ("PIL",)}  # what each kind of file is written with
+PILLOW = ("PIL", "Pillow")
+NEEDS = {".mp4": (("av", "PyAV"), PILLOW), ".gif": (PILLOW,), ".png": (PILLOW,)}  # modules that each kind of file needs
 SIZES = (64, 4096)  # pixels, smallest and largest side
 MOST_FRAMES = {".mp4": 36_000, ".gif": 600}  # frames of a gif are all kept until their common palette is known
 GIF_COLOURS = 128
@@ -44,7 +45,7 @@ def check(path: Path, width: int, height: int, fps: float) -> None:
     fastest = 50 if kind == ".gif" else 240
     if not 1 <= fps <= fastest:
         raise ValueError(f"fps must lie in 1 to {fastest} for {kind}, got {fps:g}")
-    missing = [name for name in NEEDS[kind] if importlib.util.find_spec(name) is None]
+    missing = [name for module, name in NEEDS[kind] if importlib.util.find_spec(module) is None]
     if missing:
         raise ValueError(f"writing {kind} needs {' and '.join(missing)}; pip install 'jaxftc[view]'")
 
