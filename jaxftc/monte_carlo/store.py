@@ -167,8 +167,11 @@ def read_rows(folder: Path, n: int, where: str = "true") -> dict[str, np.ndarray
 
     In the files a figure that does not apply is null; here it is not a number.
     """
+    import duckdb
+
     files = _files(folder, n)
-    return _query(f"select * {_ROWS} and ({where})", {"files": files, "n": n}) if files else {}
+    with duckdb.connect() as connection:
+        return _query(connection, f"select * {_ROWS} and ({where})", {"files": files, "n": n}) if files else {}
 
 
 class Columns(Mapping[str, np.ndarray]):
@@ -181,19 +184,21 @@ class Columns(Mapping[str, np.ndarray]):
     """
 
     def __init__(self, folder: Path, n: int) -> None:
-        self._rows = {"files": _files(folder, n), "n": n}
+        import duckdb
+
+        self._rows, self._connection = {"files": _files(folder, n), "n": n}, duckdb.connect()
         if not self._rows["files"]:
             raise ValueError(f"{folder} holds no rows; run jaxftc campaign with --out {folder}")
-        described = _query("describe select * from read_parquet($files)", {"files": self._rows["files"]})
+        described = _query(self._connection, "describe select * from read_parquet($files)", {"files": self._rows["files"]})
         self._types = dict(zip(described["column_name"], described["column_type"], strict=True))
         self._read = functools.lru_cache(maxsize=KEPT)(self._fresh)
 
     def _fresh(self, name: str) -> np.ndarray:
         if self._types[name] != "VARCHAR":
-            return _query(f'select "{name}" {_ROWS}', self._rows)[name]
-        texts = np.sort(_query(f'select distinct "{name}" {_ROWS}', self._rows)[name])  # one object for each
+            return _query(self._connection, f'select "{name}" {_ROWS}', self._rows)[name]
+        texts = np.sort(_query(self._connection, f'select distinct "{name}" {_ROWS}', self._rows)[name])  # an object for each
         place = f'select list_position($texts, "{name}") - 1 as place {_ROWS}'
-        return texts[_query(place, self._rows | {"texts": texts.tolist()})["place"]]
+        return texts[_query(self._connection, place, self._rows | {"texts": texts.tolist()})["place"]]
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self._read(name)
@@ -214,11 +219,8 @@ def _files(folder: Path, n: int) -> list[str]:
     return [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
 
 
-def _query(query: str, parameters: dict[str, Any]) -> dict[str, np.ndarray]:
-    import duckdb
-
-    with duckdb.connect() as connection:
-        found = connection.execute(query, parameters).fetchnumpy()
+def _query(connection: Any, query: str, parameters: dict[str, Any]) -> dict[str, np.ndarray]:
+    found = connection.execute(query, parameters).fetchnumpy()
     return {
         name: np.ma.filled(column, np.nan) if column.dtype.kind == "f" else np.asarray(column)
         for name, column in found.items()
