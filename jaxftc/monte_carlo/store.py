@@ -196,7 +196,7 @@ class Columns(Mapping[str, np.ndarray]):
     def _fresh(self, name: str) -> np.ndarray:
         if self._types[name] != "VARCHAR":
             return _query(self._connection, f'select "{name}" {_ROWS}', self._rows)[name]
-        texts = np.sort(_query(self._connection, f'select distinct "{name}" {_ROWS}', self._rows)[name])  # an object for each
+        texts = np.sort(_query(self._connection, f'select distinct "{name}" {_ROWS}', self._rows)[name])  # each once
         place = f'select list_position($texts, "{name}") - 1 as place {_ROWS}'
         return texts[_query(self._connection, place, self._rows | {"texts": texts.tolist()})["place"]]
 
