@@ -84,10 +84,10 @@ def test_an_array_that_is_computed_and_taken_apart_is_stored():
 
 
 def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
-    x = jnp.linspace(1, 2, 4 * 2 * 512).reshape(4, 2, 512)
+    x = jnp.linspace(1, 2, 4 * 2 * LANES).reshape(4, 2, LANES)
 
     def barriers(body):
-        text = str(jax.make_jaxpr(planned(lambda x: jax.lax.scan(body, jnp.zeros(512), x)))(x))
+        text = str(jax.make_jaxpr(planned(lambda x: jax.lax.scan(body, jnp.zeros(LANES), x)))(x))
         return text.count("optimization_barrier")
 
     assert barriers(lambda carry, x: (carry + x[0] * x[1], None)) == 1

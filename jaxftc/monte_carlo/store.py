@@ -23,6 +23,7 @@ from jaxftc.files import write_parquet, write_text
 
 MANIFEST, GAINS, PRESET, SUMMARY, REPORT = "manifest.toml", "gains.toml", "preset.toml", "summary.json", "report.html"
 KEPT = 4  # columns of a campaign in memory
+_ROWS = "from read_parquet($files) where scenario_id < $n"  # files in the order of the ids: sorting would hold copies
 
 
 class Chunk(NamedTuple):
@@ -208,10 +209,6 @@ class Columns(Mapping[str, np.ndarray]):
 
     def __len__(self) -> int:
         return len(self._types)
-
-
-# In the order of the files, which is that of the ids: sorting would hold several copies of them.
-_ROWS = "from read_parquet($files) where scenario_id < $n"
 
 
 def _files(folder: Path, n: int) -> list[str]:
