@@ -68,28 +68,49 @@ class Problem:
 
         A run with a term that is not finite has diverged: it counts ``LOST`` in every term.
         """
+        return self._joined(self._alone(gains, scenarios.id.shape), self._simulated(key, gains, scenarios))
+
+    def _alone(self, gains: Gains, axes: tuple[int, ...] = ()) -> Array:
+        """The terms of gains alone, [terms, ...]."""
+        run = Run(self.config, gains)
+        return _rows([term.value(run) for term in self.objective.values() if term.gains_only], axes)
+
+    def _simulated(self, key: Array, gains: Gains, scenarios: Scenario) -> Array:
+        """The other terms, [terms, B]."""
         run = Run(self.config, gains, scenarios, simulate(self.config, gains, scenarios, key))
-        values = jnp.stack([jnp.broadcast_to(term.value(run), scenarios.id.shape) for term in self.objective.values()])
-        return jnp.where(jnp.isfinite(values).all(0), values, LOST)
+        rows = _rows([term.value(run) for term in self.objective.values() if not term.gains_only], scenarios.id.shape)
+        return _sound(rows)
+
+    def _joined(self, alone: Array, simulated: Array) -> Array:
+        """All terms [terms, B], in their order."""
+        kinds = {True: iter(alone), False: iter(simulated)}
+        return _sound(_rows([next(kinds[term.gains_only]) for term in self.objective.values()], simulated.shape[1:]))
 
     def at(self, space: Space) -> Callable[[Array, Array, Array | float, Scenario], Array]:
         """(key, points [size, B], widen, scenarios) to terms [terms, B], one theta a scenario. To be traced."""
+        return self._spread(space, self.terms)
 
-        def simulated(shared: tuple[Array, Array], split: tuple[Array, Scenario]) -> Array:
+    def _spread(
+        self, space: Space, terms: Callable[[Array, Gains, Scenario], Array]
+    ) -> Callable[[Array, Array, Array | float, Scenario], Array]:
+        """The same for some of the terms."""
+
+        def block(shared: tuple[Array, Array], split: tuple[Array, Scenario]) -> Array:
             (key, widen), (points, scenarios) = shared, split
-            return self.terms(key, space.gains(points, widen), scenarios)
+            return terms(key, space.gains(points, widen), scenarios)
 
-        run = over_scenarios(simulated, self.batch)
+        run = over_scenarios(block, self.batch)
         return lambda key, points, widen, scenarios: run((key, jnp.asarray(widen, points.dtype)), (points, scenarios))
 
     def slope(self, space: Space, mode: str) -> Callable[[Array, Array, Array, Scenario, Array], tuple[Array, Array]]:
         """(key, theta, widen, scenarios, start terms) to (terms [terms, B], a gradient of the loss a scenario [size, B]).
 
         To be traced. ``mode`` is how gradients are found: ``reverse``, ``forward`` (a run with tangents for each entry of
-        theta: for few gains) or ``finite`` differences. A gradient that is not finite counts as 0, one longer than ``CLIP``
-        is cut to that: one run that hits a limit must not turn the whole step.
+        theta: for few gains) or ``finite`` differences; terms of gains alone have theirs in reverse. A gradient that is not
+        finite counts as 0, one longer than ``CLIP`` is cut to that: one run that hits a limit must not turn the whole step.
         """
-        run = self.at(space)
+        run = self._spread(space, self._simulated)
+        gains_only = np.array([term.gains_only for term in self.objective.values()])
 
         def copies(vector: Array) -> Array:
             return jnp.broadcast_to(vector[:, None], (vector.size, self.batch))
@@ -98,17 +119,20 @@ class Problem:
             def at(points: Array) -> Array:
                 return run(key, points, widen, scenarios)
 
-            if mode == "reverse":
-                terms, pull = jax.vjp(at, copies(theta))
-                slopes = pull(jnp.broadcast_to(self._pull(terms, start)[:, None], terms.shape))[0]
+            alone, pull_alone = jax.vjp(lambda theta: self._alone(space.gains(theta, widen)), theta)
+            simulated, pull = jax.vjp(at, copies(theta)) if mode == "reverse" else (at(copies(theta)), None)
+            terms = self._joined(alone, simulated)
+            weights = self._pull(terms, start)
+            if pull is not None:
+                slopes = pull(jnp.broadcast_to(weights[~gains_only, None], simulated.shape))[0]
             else:
-                terms = at(copies(theta))
                 if mode == "forward":
                     change = lambda d: jax.jvp(at, (copies(theta),), (copies(d),))[1]  # noqa: E731
                 else:
-                    change = lambda d: (at(copies(theta + DIFFERENCE * d)) - terms) / DIFFERENCE  # noqa: E731
+                    change = lambda d: (at(copies(theta + DIFFERENCE * d)) - simulated) / DIFFERENCE  # noqa: E731
                 changes = jax.lax.map(change, jnp.eye(theta.size, dtype=theta.dtype))
-                slopes = jnp.einsum("k,pkb->pb", self._pull(terms, start), changes)
+                slopes = jnp.einsum("k,pkb->pb", weights[~gains_only], changes)
+            slopes = slopes + pull_alone(weights[gains_only])[0][:, None]
             length = jnp.sqrt((slopes * slopes).sum(0))
             return terms, jnp.where(jnp.isfinite(length), slopes * jnp.minimum(1.0, CLIP / (length + 1e-12)), 0.0)
 
@@ -118,3 +142,13 @@ class Problem:
         """Derivative [terms] of the loss by the mean of each term."""
         worse = terms.mean(1) > start.mean(1)
         return jnp.asarray(self.weights, terms.dtype) * (1 + GUARD * worse)
+
+
+def _rows(values: list[Array], axes: tuple[int, ...]) -> Array:
+    """One array [values, *axes]."""
+    return jnp.stack([jnp.broadcast_to(value, axes) for value in values]) if values else jnp.zeros((0, *axes))
+
+
+def _sound(terms: Array) -> Array:
+    """``LOST`` in every term of a run that has one that is not finite."""
+    return jnp.where(jnp.isfinite(terms).all(0), terms, LOST)
