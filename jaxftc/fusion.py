@@ -31,11 +31,13 @@ from jax import lax
 from jax.core import Tracer
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend.core import ClosedJaxpr, Literal
+from jax.sharding import PartitionSpec
 
 STORE = 12_000.0  # element operations that storing a value and reading it back is worth, with the call of one more loop
 ONCE = 1e5  # the same around a loop over time, where compiling one more loop takes longer than what it saves
 LONGEST = 300.0  # operations in one loop: longer ones run out of registers and compile slowly
 LARGEST = 5_000  # operations in one function: the time to compile it grows faster than its size
+LARGE = 100_000  # elements of a loop's results that are worth to be kept from turn to turn of a loop around it
 UNROLLED = 64  # terms of a sum over leading axes that is written out, so that it can be fused
 
 _INLINED = {"pjit", "jit", "closed_call", "checkpoint", "remat", "remat2", "custom_jvp_call", "custom_vjp_call"}
@@ -277,49 +279,93 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
 
 def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
     """The results of a program."""
+    return _run(program, args, {})[0]
+
+
+def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) -> tuple[list[Any], dict[int, list[Any]]]:
+    """The results of a program, and what its loops left in their ``stacks`` (see ``_stacks``)."""
     values: dict[int, Any] = dict(zip(program.inputs, args, strict=True))
+    left = {}
 
     def read(x: Any) -> Any:
         return x.value if isinstance(x, Value) else values[x]
 
     for k, step in enumerate(program.steps):
         given = [read(x) for x in step.inputs]
-        results = _apply(step, given, program.bodies.get(k))
+        if k in program.bodies:
+            results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
+            left |= {k: filled} if filled else {}
+        else:
+            results = _apply(step, given)
         values |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
-    return [read(x) for x in program.outputs]
+    return [read(x) for x in program.outputs], left
 
 
-def _apply(step: Step, inputs: list[Any], body: Program | None) -> list[Any]:
+def _apply(step: Step, inputs: list[Any]) -> list[Any]:
     name, params = step.primitive.name, step.params
-    if body is not None:
-        return _BODIES[name](params, body, inputs)
     if name in _SUMS and not step.stored:
         return [functools.reduce(_SUMS[name], _rows(inputs[0], params["axes"]))]
     results = step.primitive.bind(*inputs, **params)
     return list(results) if step.primitive.multiple_results else [results]
 
 
-def _scan(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any]:
+def _scan(params: dict[str, Any], inner: Program, inputs: list[Any], stacks: list[Any]) -> tuple[list[Any], list[Any]]:
     consts, carried = params["num_consts"], params["num_carry"]
     cut = [value in inner.cut for value in inner.inputs[consts + carried :]]
+    shapes = _stacks(inner)
 
-    def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], list[Any]]:
+    def body(state: tuple[list[Any], Any, list[Any]], given: tuple[Any, list[Any]]) -> tuple[Any, list[Any]]:
+        (carry, own, stacks), (k, x) = state, given
         x = [lax.optimization_barrier(part) if parts else part for part, parts in zip(x, cut, strict=True)]
-        results = evaluate(inner, [*inputs[:consts], *carry, *x])
-        return results[:carried], results[carried:]
+        results, own = _run(inner, [*inputs[:consts], *carry, *x], own)
+        carry, y = results[:carried], results[carried:]
+        if stacks:
+            y, stacks = [], [lax.dynamic_update_index_in_dim(*pair, k, 0) for pair in zip(stacks, y, strict=True)]
+        return (carry, own, stacks), y
 
-    carry, xs = inputs[consts : consts + carried], inputs[consts + carried :]
+    own = {k: [lax.full(shape, 0, dtype) for shape, dtype in each] for k, each in shapes.items()}
+    state = inputs[consts : consts + carried], own, stacks
     named = {key: params[key] for key in ("length", "reverse", "unroll")}
-    carry, ys = lax.scan(body, carry, xs, **named)
-    return [*carry, *ys]
+    (carry, _, stacks), ys = lax.scan(body, state, (np.arange(params["length"]), inputs[consts + carried :]), **named)
+    return [*carry, *(stacks or ys)], stacks
 
 
-def _shard_map(params: dict[str, Any], inner: Program, inputs: list[Any]) -> list[Any]:
-    spread = {key: params[key] for key in ("mesh", "in_specs", "out_specs", "check_vma")}
-    return list(jax.shard_map(lambda *args: tuple(evaluate(inner, args)), **spread)(*inputs))
+def _shard_map(params: dict[str, Any], inner: Program, inputs: list[Any], stacks: list[Any]) -> tuple[list[Any], list[Any]]:
+    shapes, mesh = _stacks(inner), params["mesh"]
+    spread = PartitionSpec(mesh.axis_names)
+
+    def block(args: list[Any], stacks: list[Any]) -> tuple[Any, list[Any]]:
+        rest = iter(stacks)
+        own = {k: [next(rest)[0] for _ in each] for k, each in shapes.items()} if stacks else {}
+        results, own = _run(inner, args, own)
+        return tuple(results), [stack[None] for each in own.values() for stack in each]
+
+    specs = {"in_specs": (list(params["in_specs"]), spread), "out_specs": (tuple(params["out_specs"]), spread)}
+    results, stacks = jax.shard_map(block, mesh=mesh, check_vma=params["check_vma"], **specs)(inputs, stacks)
+    return list(results), stacks
 
 
 _BODIES = {"scan": _scan, "shard_map": _shard_map}  # what is planned inside, too
+
+
+def _stacks(program: Program) -> dict[int, list[tuple[tuple[int, ...], Any]]]:
+    """Shapes and types of what loops among the steps stack up, a row a turn: where it is worth it, by step.
+
+    A loop starts from stacks of zeros. Within another loop it is handed those of the last turn, of which it overwrites all:
+    zeros would be written anew in every turn.
+    """
+    found = {}
+    for k, inner in program.bodies.items():
+        params = program.steps[k].params
+        if program.steps[k].primitive.name == "scan":
+            rows = params["jaxpr"].out_avals[params["num_carry"] :]
+            each = [((params["length"], *row.shape), row.dtype) for row in rows]
+        else:
+            shards = params["mesh"].size
+            each = [((shards, *shape), dtype) for some in _stacks(inner).values() for shape, dtype in some]
+        if sum(math.prod(shape) for shape, _ in each) >= LARGE:
+            found[k] = each
+    return found
 
 
 def _leading(axes: Sequence[int], shape: Sequence[int]) -> bool:

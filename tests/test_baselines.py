@@ -14,7 +14,6 @@ from jaxftc.arm import chain, plant
 from jaxftc.arm.robot import compile_robot
 from jaxftc.baselines import ekf, momentum
 from jaxftc.config import SCHEMES
-from jaxftc.control.pending import pack
 from jaxftc.faults.kinds import Sensor
 from jaxftc.gains import align
 from jaxftc.observer import super_twisting
@@ -118,6 +117,10 @@ def test_computed_torque_tracks_the_papers_motion(config):
     assert np.isinf(trace.out.threshold_tau).all() and np.isinf(trace.out.threshold_q).all()
 
 
+def matrix(lanes, q):
+    return jnp.stack([chain.stack(row, q) for row in lanes])
+
+
 # Momentum observer.
 
 
@@ -127,7 +130,7 @@ def test_momentum_and_its_drift_against_derivatives(puma):
     q, qd = (jnp.asarray(random.normal(size=N)) for _ in range(2))
 
     def mass(q):
-        return pack(plant.nominal_mass(puma, chain.pose(puma, q)), q)
+        return matrix(plant.nominal_mass(puma, chain.pose(puma, q)), q)
 
     p, drift = momentum.momentum(puma, q, qd)
     np.testing.assert_allclose(p, mass(q) @ qd, atol=1e-12)
@@ -334,7 +337,7 @@ def test_the_printed_observer_runs_the_printed_equation(config):
     out = jaxftc.simulate(config, gains, scenario, jax.random.key(0)).out
     errors, psi = np.asarray(out.residual_q), []
     for q_hat, residual in zip(out.q_hat, out.residual_tau, strict=True):
-        mass = pack(plant.nominal_mass(config.robot, chain.pose(config.robot, q_hat)), q_hat)
+        mass = matrix(plant.nominal_mass(config.robot, chain.pose(config.robot, q_hat)), q_hat)
         psi.append(np.linalg.solve(np.asarray(mass), np.asarray(residual)))
     assert np.abs(psi[1:]).min() > 20.0  # the relay's own amplitude is 30 rad/s^2
     late = [[printed.psi_sm_eq7(x, 120.0, 30.0) for x in e] for e in errors[:-1]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ class Pending(NamedTuple):
 
     tau: Array  # [n, ...] N m, before the limits
     qdd: Array  # [n, ...] rad/s^2, acceleration that tau was computed for
-    mass: Array  # [n, n, ...] kg m^2, nominal inertia
+    mass: Array  # [n (n + 1) / 2, ...] kg m^2, nominal inertia, lower triangle
 
 
 def holding(robot: Robot, q: Array) -> Pending:
@@ -38,10 +39,13 @@ def commanded(robot: Robot, pending: Pending, tau: Array) -> tuple[Array, Array]
 
 
 def rows(mass: Array) -> list[list[chain.Lane]]:
-    """An array [n, n, ...] as n x n lanes."""
-    return [chain.lanes(row) for row in chain.lanes(mass)]
+    """A lower triangle [n (n + 1) / 2, ...], row after row, as n x n lanes."""
+    below, matrix = iter(chain.lanes(mass)), []
+    for n in range(math.isqrt(2 * len(mass))):
+        matrix.append([next(below) for _ in range(n + 1)])
+    return [[matrix[max(i, j)][min(i, j)] for j in range(len(matrix))] for i in range(len(matrix))]
 
 
 def pack(mass: list[list[chain.Lane]], like: Array) -> Array:
-    """N x n lanes as one array [n, n, ...]."""
-    return jnp.stack([chain.stack(row, like) for row in mass])
+    """The lower triangle of n x n lanes as one array [n (n + 1) / 2, ...], each in the shape of ``like``'s [n, ...]."""
+    return chain.stack([entry for i, row in enumerate(mass) for entry in row[: i + 1]], like)
