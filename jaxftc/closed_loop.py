@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer
 
 from jaxftc import noise, reference, schemes
@@ -157,12 +158,13 @@ def watch(
 
     def body(carry: tuple[Loop, Any], k: Array) -> tuple[tuple[Loop, Any], Any]:
         loop, seen = carry
-        drawn = scenario.noise * noise.normal(stream, k, config.n).astype(dtype)
+        drawn = checkpoint_name(scenario.noise * noise.normal(stream, k, config.n).astype(dtype), "noise")
         loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn)
         seen, kept = look(seen, tick)
         return (loop, seen), kept
 
-    body = jax.checkpoint(body, prevent_cse=False)  # a gradient keeps the carry of every tick and runs the tick again
+    # A gradient keeps the carry of every tick and the noise, which is dear, and runs the rest of the tick again.
+    body = jax.checkpoint(body, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("noise"))
     (_, seen), kept = jax.lax.scan(body, (loop, seen), jnp.arange(config.ticks))
     return seen, kept
 
