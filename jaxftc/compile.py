@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from jaxftc.fusion import planned, whole
+from jaxftc.kept import across_processes
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
 _WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
@@ -38,14 +39,20 @@ def compiler_options(*, small: bool = False) -> dict[str, Any]:
     return options
 
 
-def jit(fun: Callable[..., Any], **kwargs: Any) -> Any:
+def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) -> Any:
     """``jax.jit`` as said above; what is needed is made at the first call, so that importing starts no backend.
+
+    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``).
 
     Plan and options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds
     for ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without them: wrap those in this ``jit``.
     """
     plain = jax.jit(fun, **kwargs)
-    by_size = functools.cache(lambda small: _jitted(fun, small, **kwargs))
+
+    @functools.cache
+    def by_size(small: bool) -> Any:
+        jitted = _jitted(fun, small, **kwargs)
+        return jitted if origin is None else across_processes(jitted, f"{fun.__qualname__}{small}{origin}")
 
     @functools.wraps(fun)
     def call(*args: Any, **call_kwargs: Any) -> Any:

@@ -64,7 +64,8 @@ class Descent:
             return State(theta, inner, state.step + 1, state.rate), Steps(terms.mean(1), optax.global_norm(gradient))
 
         self._key = problem.key
-        self._round = jit(lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs))
+        origin = None if problem.origin is None else f"{problem.origin} {space.origin} {mode} {optimizer} {rate} {steps}"
+        self._round = jit(lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs), origin=origin)
 
     def init(self, theta: np.ndarray, step: int = 0, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""

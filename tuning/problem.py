@@ -40,7 +40,12 @@ class Problem:
         self.config, self.objective, self.key, self.batch = config, dict(objective), key, batch
         self.names = tuple(self.objective)
         self.weights = np.array([term.weight for term in self.objective.values()], float)
-        self._scores = jit(over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch))
+        every = [(name, *term._replace(value=term.value.__qualname__)) for name, term in self.objective.items()]
+        ours = all(term.value.__module__ == "tuning.terms" for term in self.objective.values())
+        self.origin = f"{config} {every} {batch}" if ours else None  # a user's own function says nothing about its source
+        self._scores = jit(
+            over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch), origin=self.origin
+        )
 
     def scores(self, gains: Gains, scenarios: Scenario) -> np.ndarray:
         """Terms [terms, scenarios] of one set of gains, in pieces of ``batch`` scenarios; the last piece is filled up."""

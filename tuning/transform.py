@@ -134,6 +134,12 @@ class Space:
         """Names of the free gains."""
         return tuple(f"{leaf.block}.{leaf.name}" for leaf in self.leaves)
 
+    @property
+    def origin(self) -> str:
+        """All of it but the config, as text."""
+        start = {jax.tree_util.keystr(path): np.asarray(leaf).tolist() for path, leaf in jax.tree.leaves_with_path(self.start)}
+        return f"{start} {[(leaf.block, leaf.name, leaf.shape) for leaf in self.leaves]}"
+
     def gains(self, theta: Array, widen: Array | float = 1.0) -> Gains:
         """Gains at theta [size], or at [size, scenarios] one set a scenario on a trailing axis; differentiable.
 

@@ -64,8 +64,11 @@ def prepare(options: Options, *, gradients: bool = False) -> None:
 
         jax.config.update("jax_num_cpu_devices", cores())
     if options.cache:
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        jax.config.update("jax_compilation_cache_dir", str(home / "jaxftc" / "xla"))
+        from jaxftc import kept
+
+        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxftc"
+        kept.folder = home / "programs"
+        jax.config.update("jax_compilation_cache_dir", str(home / "xla"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
