@@ -84,7 +84,7 @@ def _write(path: Path, program: Any) -> None:
 @contextlib.contextmanager
 def _uncached() -> Iterator[None]:
     """JAX's persistent cache off."""
-    cache = jax.config.jax_compilation_cache_dir
+    cache = jax.config.values["jax_compilation_cache_dir"]
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
     try:
@@ -98,7 +98,7 @@ def _circumstances() -> str:
     """What a compiled program depends on besides its function and its arguments."""
     settings = {name: value for name, value in jax.config.values.items() if "cache" not in name}
     devices = [(device.platform, device.device_kind) for device in jax.devices()]
-    return f"{_installation()}{settings}{jax.config.jax_enable_x64}{os.environ.get('XLA_FLAGS')}{devices}"
+    return f"{_installation()}{settings}{jax.dtypes.canonicalize_dtype(float)}{os.environ.get('XLA_FLAGS')}{devices}"
 
 
 @functools.cache

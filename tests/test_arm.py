@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import jaxftc
+from benchmarks.arms import serial
 from jaxftc.arm import chain, plant
 from jaxftc.arm.puma560 import TORQUE_LIMIT
-from jaxftc.arm.robot import PAYLOAD
+from jaxftc.arm.robot import PAYLOAD, compile_robot
 from jaxftc.faults.scenario import CONDITIONS
 
 ENGINES = ("mjx", "chain")
@@ -167,6 +168,45 @@ def test_solve_is_that_of_numpy():
         rows = [[jnp.asarray(matrix[:, i, j]) for j in range(n)] for i in range(n)]
         got = np.stack(chain.solve(rows, list(jnp.asarray(right.T))), axis=-1)
         np.testing.assert_allclose(got, np.linalg.solve(matrix, right[..., None])[..., 0], rtol=1e-9, atol=1e-9)
+
+
+def test_the_slope_of_solve_is_that_of_numpys_solution():
+    """By rule, dx = M^-1 (db - dM x), in both modes; an entry that is a plain number has none."""
+    draw = np.random.default_rng(2)
+    root, change, right, push, pull = (draw.normal(size=(3, 3)) for _ in range(5))
+    matrix, change = root @ root.T + 0.1 * np.eye(3), change + change.T
+    matrix[2, 0] = matrix[0, 2] = 0.25
+    change[2, 0] = change[0, 2] = 0.0
+
+    def solution(matrix, right):
+        rows = [[0.25 if {i, j} == {0, 2} else matrix[i, j] for j in range(3)] for i in range(3)]
+        return jnp.stack(chain.solve(rows, list(right)))
+
+    x = np.linalg.solve(matrix, right)
+    slope = np.linalg.solve(matrix, push - change @ x)
+    at, along = (jnp.asarray(matrix), jnp.asarray(right)), (jnp.asarray(change), jnp.asarray(push))
+    np.testing.assert_allclose(jax.jvp(solution, at, along)[1], slope, rtol=1e-9)
+    grad_matrix, grad_right = jax.vjp(solution, *at)[1](jnp.asarray(pull))
+    np.testing.assert_allclose((grad_matrix * change).sum() + (grad_right * push).sum(), (pull * slope).sum(), rtol=1e-9)
+    second = jax.jvp(lambda *at: jax.jvp(solution, at, along)[1], at, along)[1]
+    np.testing.assert_allclose(second, np.linalg.solve(matrix, -2 * change @ slope), rtol=1e-8)
+
+
+@pytest.mark.parametrize("arm", [6, 3, 2, 1])
+def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
+    robot = puma if arm == 6 else compile_robot(f"arm{arm}", serial(arm))
+    draw = np.random.default_rng(arm)
+    q, qd, qdd = (jnp.asarray(draw.normal(size=robot.n)) for _ in range(3))
+    mass, payload = jnp.asarray(draw.uniform(0.5, 2, robot.n)), jnp.asarray(1.5)
+    links = [chain.link_inertia(link, mass[i]) for i, link in enumerate(robot.links)]
+    links[-1] = chain._join(links[-1], chain.link_inertia(robot.payload_link, payload))
+    grouped, at = chain.scaled_inertias(robot, mass, payload), chain.pose(robot, q)
+    assert all(isinstance(link.mass, float) and link.mass == link.moment[2] == link.tensor[1] == 0 for link in grouped)
+    lanes = chain.lanes(qd), chain.lanes(qdd)
+    forces = [np.asarray(chain.newton_euler(robot, bodies, at, *lanes)) for bodies in (grouped, links)]
+    np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-9)
+    matrices = [np.asarray(chain.mass_matrix(robot, bodies, at)) for bodies in (grouped, links)]
+    np.testing.assert_allclose(*matrices, rtol=1e-9, atol=1e-9)
 
 
 @jaxftc.jit

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import jaxftc
 from jaxftc import compile as compiling
+from jaxftc import fusion
 from jaxftc.closed_loop import watch
 from jaxftc.faults.scenario import trail
 from jaxftc.fusion import evaluate, plan, planned
@@ -104,6 +105,40 @@ def test_a_loop_over_little_compiles_with_fences():
 
     large, x = jnp.ones((4, LANES)), jnp.array([0.5, 0.25])
     np.testing.assert_allclose(jaxftc.jit(small_loop)(large, x), small_loop(large, x), rtol=1e-6)
+
+
+@pytest.mark.parametrize("spread", [False, True])
+@pytest.mark.parametrize("reverse", [False, True])
+def test_a_loop_in_a_loop_is_handed_the_stacks_of_the_last_turn(monkeypatch, spread, reverse):
+    """Whatever they hold is overwritten: every turn gives what it gives on its own."""
+    monkeypatch.setattr(fusion, "LARGE", 100)
+    mesh = jax.sharding.Mesh(np.asarray(jax.devices()[:1]), ("lanes",))
+
+    def inner(x):
+        def body(carry, k):
+            carry = jnp.cos(carry) + k
+            return carry, (carry * x, carry > 1)
+
+        return jax.lax.scan(body, x, jnp.arange(5.0), reverse=reverse)
+
+    if spread:
+        last = jax.sharding.PartitionSpec("lanes")
+        stack = jax.sharding.PartitionSpec(None, "lanes")
+        inner = jax.shard_map(inner, mesh=mesh, in_specs=last, out_specs=(last, (stack, stack)), check_vma=False)
+
+    def outer(x):
+        def turn(x, k):
+            x, (y, big) = inner(x * k)
+            return x, (y.sum(0), big[2])
+
+        return jax.lax.scan(turn, x, jnp.arange(1.0, 4.0))
+
+    x = jnp.linspace(0, 1, LANES)
+    program = plan(jax.make_jaxpr(outer)(x))
+    (turn,) = program.bodies.values()
+    assert [sorted(size for size, _ in each) for each in fusion._stacks(turn).values()] == [[(*[1] * spread, 5, LANES)] * 2]
+    for ours, theirs in zip(evaluate(program, [x]), jax.tree.leaves(outer(x)), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
 def test_there_are_few_fences_around_a_loop_and_the_usual_ones_in_it():

@@ -143,13 +143,13 @@ def test_what_runs_away_is_undone_and_told(arm, scenarios):
 
 
 class Plain:
-    size = 1
+    size, origin = 1, ""
 
 
 class Constant:
     """A problem whose slope is 1 everywhere."""
 
-    key = jax.random.key(0)
+    key, origin = jax.random.key(0), None
 
     def slope(self, space, mode):
         return lambda key, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))

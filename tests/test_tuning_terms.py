@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc import compile as compiling
 from jaxftc import metrics
 from jaxftc.faults.scenario import take, trail
 from jaxftc.observer import stability
 from tests.twins import terms as twin
-from tuning import OBJECTIVE, Problem, Run, Term
+from tuning import OBJECTIVE, Problem, Run, Term, transform
 from tuning.problem import LOST
 
 N = 24
@@ -129,3 +130,23 @@ def test_a_term_of_the_user_counts(arm, run):
     peak = np.abs(np.asarray(run.trace.out.tau)).max((0, 1))[:11]
     np.testing.assert_allclose(scores, np.where(odd, [peak, np.ones(11), np.full(11, 3.0)], LOST), rtol=1e-9)
     assert problem.total(scores) == pytest.approx(2 * scores[0].mean() + scores[1].mean())
+
+
+def test_a_term_of_gains_alone_counts_as_it_would_in_every_scenario(arm, run):
+    """Values and slopes are the same whether it is found once or scenario by scenario."""
+
+    def away(r):
+        return (jnp.log(r.gains.control.lam / 20.0) - 0.3).mean(0) ** 2
+
+    space = transform.space(arm, jaxftc.default_gains(arm), ["control.lam"])
+    scenarios = take(jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), -1, 0), run.scenario), slice(0, 4))
+    start, found = jnp.full((2, 4), np.inf), []
+    for gains_only in (False, True):
+        objective = {"away": Term(3.0, away, gains_only), "tracking": OBJECTIVE["tracking"]}
+        problem = Problem(arm, objective, jax.random.key(1), 4)
+        slope = compiling.jit(problem.slope(space, "reverse"))
+        terms, slopes = slope(problem.key, jnp.full(space.size, 0.1), jnp.ones(()), trail(scenarios), start)
+        found.append([*terms, slopes, problem.scores(run.gains, scenarios)])
+        np.testing.assert_allclose(terms[0], 0.04, rtol=1e-9)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-15)

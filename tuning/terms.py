@@ -37,8 +37,8 @@ class Run(NamedTuple):
 
     config: Config
     gains: Gains
-    scenario: Scenario = None  # trailing scenario axes; not for a term of gains alone
-    trace: Trace = None  # not for a term of gains alone
+    scenario: Scenario = None  # pyright: ignore[reportAssignmentType] # trailing axes; None for a term of gains alone
+    trace: Trace = None  # pyright: ignore[reportAssignmentType] # None for a term of gains alone
 
 
 Function = Callable[[Run], Array]

@@ -137,7 +137,9 @@ class Space:
     @property
     def origin(self) -> str:
         """All of it but the config, as text."""
-        start = {jax.tree_util.keystr(path): np.asarray(leaf).tolist() for path, leaf in jax.tree.leaves_with_path(self.start)}
+        start = {
+            jax.tree_util.keystr(path): np.asarray(leaf).tolist() for path, leaf in jax.tree.leaves_with_path(self.start)
+        }
         return f"{start} {[(leaf.block, leaf.name, leaf.shape) for leaf in self.leaves]}"
 
     def gains(self, theta: Array, widen: Array | float = 1.0) -> Gains:
