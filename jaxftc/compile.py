@@ -9,9 +9,11 @@ can emit. Options are set per compilation, and only where the installed XLA know
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -58,14 +60,16 @@ def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) ->
     def call(*args: Any, **call_kwargs: Any) -> Any:
         if is_tracing(args, call_kwargs):
             return plain(*args, **call_kwargs)
-        return by_size(_small(args, call_kwargs))(*args, **call_kwargs)
+        with _no_collecting():
+            return by_size(_small(args, call_kwargs))(*args, **call_kwargs)
 
     return call
 
 
 def ahead(fun: Callable[..., Any], *examples: Any) -> Any:
     """A program for one arm, compiled now for arguments like the examples: calls cost less than those of ``jit``."""
-    return _jitted(fun, small=True).lower(*examples).compile()
+    with _no_collecting():
+        return _jitted(fun, small=True).lower(*examples).compile()
 
 
 def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
@@ -84,3 +88,16 @@ def _small(*values: object) -> bool:
 def is_tracing(*values: object) -> bool:
     """True inside a caller's ``jit`` (where even a constant is traced) or where a value is a tracer."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values)) or isinstance(jnp.zeros(()), Tracer)
+
+
+@contextlib.contextmanager
+def _no_collecting() -> Iterator[None]:
+    """Python's garbage collector off, for a call that may compile: half of the time to trace is looking through young objects."""
+    if not gc.isenabled():  # by the caller, or by another thread that traces and will switch it on again
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -18,11 +18,9 @@ Nothing here knows robots.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import gc
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -130,24 +128,10 @@ def _rewritten(fun: Callable[..., Any], run: Callable[[ClosedJaxpr, list[Any]], 
             return fun(*args, **kwargs)
 
         values = [leaves[k] for k in traced]
-        with _no_collecting():
-            program, shape = jax.make_jaxpr(inner, return_shape=True)(*values)
-            return jax.tree.unflatten(jax.tree.structure(shape), run(program, values))
+        program, shape = jax.make_jaxpr(inner, return_shape=True)(*values)
+        return jax.tree.unflatten(jax.tree.structure(shape), run(program, values))
 
     return call
-
-
-@contextlib.contextmanager
-def _no_collecting() -> Iterator[None]:
-    """Python's garbage collector off: looking through a hundred thousand young objects takes half of the time to trace."""
-    if not gc.isenabled():  # by the caller, or by another thread that traces and will switch it on again
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
 
 
 def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) -> Program:
