@@ -129,7 +129,7 @@ def delay(run: Run) -> Array:
     a = alarms(run)
     alarm = 1 - (1 - a.tau) * (1 - a.q)
     since = a.since[:, None]
-    seen = jax.lax.cummax(jnp.where(since >= 0, alarm, 0.0), axis=0)
+    seen = _so_far(jnp.where(since >= 0, alarm, 0.0))
     before = jnp.where(since < 0, alarm, 0.0).max(0)
     window = (since >= 0) & (since < DELAY_WINDOW)
     late = _mean(1 - seen * (1 - before), window, 0)
@@ -165,6 +165,16 @@ def stability(run: Run) -> Array:
     if run.config.input != "rigid_body":
         return jnp.zeros(())
     return jax.nn.relu((poles.smooth_radius(run.config, run.gains) - SLOWEST) / 1e-3).mean(0)
+
+
+def _so_far(x: Array) -> Array:
+    """Largest value up to each tick, of x [T, ...] >= 0; ``cummax`` goes over all of it ten times, and back."""
+
+    def later(largest: Array, now: Array) -> tuple[Array, Array]:
+        largest = jnp.maximum(largest, now)
+        return largest, largest
+
+    return jax.lax.scan(later, jnp.zeros_like(x[0]), x)[1]
 
 
 def _mean(x: Array, where: Array, axis: int) -> Array:
