@@ -52,9 +52,9 @@ class Term(NamedTuple):
     gains_only: bool = False  # its run has neither scenario nor trace; found once for all scenarios with the same gains
 
 
-def _rms(x: Array) -> Array:
-    """Root mean square over ticks and joints; finite slope at 0."""
-    return jnp.sqrt((x * x).mean((0, 1)) + 1e-12)
+def _rms(x: Array, unit: Array | float) -> Array:
+    """Root mean square of x [T, n, ...] over ticks and joints, in a unit [n, 1...] each; finite slope at 0."""
+    return jnp.sqrt(((x * x).mean(0) / unit**2).mean(0) + 1e-12)
 
 
 def _limit(run: Run) -> Array:
@@ -70,29 +70,28 @@ def _share(x: Array) -> Array:
 
 def fault_tau(run: Run) -> Array:
     """Error of the torque-fault estimate, rms, against the smallest fault of ``standard``."""
-    error = run.trace.out.fault_tau_hat - run.trace.fault_tau
-    return _share(_rms(error / (SMALL_TORQUE * _limit(run))))
+    return _share(_rms(run.trace.out.fault_tau_hat - run.trace.fault_tau, SMALL_TORQUE * _limit(run)))
 
 
 def fault_q(run: Run) -> Array:
     """Error of the encoder-fault estimate, rms, against the smallest bias of ``standard``."""
-    return _share(_rms((run.trace.out.fault_q_hat - run.trace.fault_q) / SMALL_ANGLE))
+    return _share(_rms(run.trace.out.fault_q_hat - run.trace.fault_q, SMALL_ANGLE))
 
 
 def tracking(run: Run) -> Array:
     """True angle from the reference, rms, against 0.1 deg."""
-    return _share(_rms((run.trace.q - run.trace.q_ref) / TRACKING))
+    return _share(_rms(run.trace.q - run.trace.q_ref, TRACKING))
 
 
 def chattering(run: Run) -> Array:
     """Torque travel per second over the torque limit, mean over joints, against 5 1/s."""
-    travel = jnp.abs(jnp.diff(run.trace.out.tau / _limit(run), axis=0)).sum(0).mean(0)
+    travel = (jnp.abs(jnp.diff(run.trace.out.tau, axis=0)).sum(0) / _limit(run)).mean(0)
     return _share(travel / (run.config.ticks * run.config.dt) / CHATTERING)
 
 
 def effort(run: Run) -> Array:
     """Torque over its limit, rms."""
-    return _rms(run.trace.out.tau / _limit(run))
+    return _rms(run.trace.out.tau, _limit(run))
 
 
 class Alarms(NamedTuple):
@@ -100,7 +99,7 @@ class Alarms(NamedTuple):
 
     tau: Array  # [T, n, ...] grade of the actuator bit of the verdict, Eq. (18)
     q: Array  # [T, n, ...] grade of the sensor bit
-    ratio: Array  # [2, T, n, ...] statistic over threshold, torque and encoder channel
+    ratios: tuple[Array, Array]  # [T, n, ...] statistic over threshold, torque and encoder channel
     faulty_tau: Array  # [n, ...] bool, the joint has an actuator fault in this run
     faulty_q: Array  # [n, ...] bool, an encoder fault
     since: Array  # [T, ...] s since the first onset; -inf in a healthy run
@@ -110,15 +109,15 @@ class Alarms(NamedTuple):
 def alarms(run: Run) -> Alarms:
     """Graded alarms, as ``diagnosis.decide`` would combine them, and the scenario's truth, which only tuning may see."""
     out, scenario = run.trace.out, run.scenario
-    ratio = jnp.stack([jnp.abs(out.statistic_tau) / out.threshold_tau, jnp.abs(out.statistic_q) / out.threshold_q])
-    grade_tau, grade_q = jax.nn.sigmoid((ratio - 1) / SOFTNESS)
+    ratios = jnp.abs(out.statistic_tau) / out.threshold_tau, jnp.abs(out.statistic_q) / out.threshold_q
+    grade_tau, grade_q = (jax.nn.sigmoid((ratio - 1) / SOFTNESS) for ratio in ratios)
     trusted = 1 - jax.lax.stop_gradient(out.suspect)
     faults = scenario.fault_tau, scenario.fault_q
     faulty = [fault.kind > 0 for fault in faults]
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
     t = run.trace.t.reshape(-1, *[1] * onset.ndim)
-    return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratio, faulty[0], faulty[1], t - onset, clear - t)
+    return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratios, faulty[0], faulty[1], t - onset, clear - t)
 
 
 def delay(run: Run) -> Array:
@@ -143,8 +142,8 @@ def false_alarm(run: Run) -> Array:
     Healthy is the time before onset. It does not saturate: a threshold ten times too low still has a slope.
     """
     a = alarms(run)
-    peak = jnp.where(a.since[:, None] < 0, a.ratio, 0.0).max(1)
-    over = jnp.log((peak + 1e-6) / HEADROOM)
+    peaks = jnp.stack([jnp.where(a.since[:, None] < 0, ratio, 0.0).max(0) for ratio in a.ratios])
+    over = jnp.log((peaks + 1e-6) / HEADROOM)
     return (SOFTNESS * jax.nn.softplus(over / SOFTNESS)).sum((0, 1))
 
 
