@@ -44,7 +44,8 @@ def compiler_options(*, small: bool = False) -> dict[str, Any]:
 def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) -> Any:
     """``jax.jit`` as said above; what is needed is made at the first call, so that importing starts no backend.
 
-    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``).
+    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``); all
+    arguments are arrays then, given by position, and there are no ``kwargs``.
 
     Plan and options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds
     for ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without them: wrap those in this ``jit``.
@@ -54,7 +55,8 @@ def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) ->
     @functools.cache
     def by_size(small: bool) -> Any:
         jitted = _jitted(fun, small, **kwargs)
-        return jitted if origin is None else across_processes(jitted, f"{fun.__qualname__}{small}{origin}")
+        name = repr((fun.__module__, fun.__qualname__, small, origin))
+        return jitted if origin is None else across_processes(jitted, name)
 
     @functools.wraps(fun)
     def call(*args: Any, **call_kwargs: Any) -> Any:
@@ -92,7 +94,7 @@ def is_tracing(*values: object) -> bool:
 
 @contextlib.contextmanager
 def _no_collecting() -> Iterator[None]:
-    """Python's garbage collector off, for a call that may compile: half of the time to trace is looking through young objects."""
+    """Python's garbage collector off, for a call that may compile: looking through young objects is half of tracing."""
     if not gc.isenabled():  # by the caller, or by another thread that traces and will switch it on again
         yield
         return

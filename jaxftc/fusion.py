@@ -337,8 +337,8 @@ _BODIES = {"scan": _scan, "shard_map": _shard_map}  # what is planned inside, to
 def _stacks(program: Program) -> dict[int, list[tuple[tuple[int, ...], Any]]]:
     """Shapes and types of what loops among the steps stack up, a row a turn: where it is worth it, by step.
 
-    A loop starts from stacks of zeros. Within another loop it is handed those of the last turn, of which it overwrites all:
-    zeros would be written anew in every turn.
+    A loop starts from stacks of zeros. Within another loop (one level) it is handed those of the last turn, of which it
+    overwrites all: zeros would be written anew in every turn.
     """
     found = {}
     for k, inner in program.bodies.items():
@@ -349,7 +349,8 @@ def _stacks(program: Program) -> dict[int, list[tuple[tuple[int, ...], Any]]]:
         else:
             shards = params["mesh"].size
             each = [((shards, *shape), dtype) for some in _stacks(inner).values() for shape, dtype in some]
-        if sum(math.prod(shape) for shape, _ in each) >= LARGE:
+        plain = all(isinstance(dtype, np.dtype) for _, dtype in each)  # no random keys
+        if plain and sum(math.prod(shape) for shape, _ in each) >= LARGE:
             found[k] = each
     return found
 

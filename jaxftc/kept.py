@@ -33,7 +33,10 @@ folder: Path | None = None  # where programs are kept; nowhere if None
 
 
 def across_processes(jitted: Any, origin: str) -> Callable[..., Any]:
-    """``jitted`` with programs that are kept in ``folder``; only arrays as arguments, and none by name."""
+    """``jitted`` with programs that are kept in ``folder``; only arrays as arguments, none by name, on no chosen device.
+
+    JAX's settings count as at the first call with arguments of a kind, constants of modules as their source has them.
+    """
     programs: dict[str, Any] = {}
 
     def call(*args: Any) -> Any:
@@ -52,11 +55,11 @@ def across_processes(jitted: Any, origin: str) -> Callable[..., Any]:
 
 def _kept(jitted: Any, args: tuple[Any, ...], path: Path) -> Any:
     """The program in a file, or a new one, which is written there."""
-    with contextlib.suppress(OSError, jax.errors.JaxRuntimeError):
+    with contextlib.suppress(Exception):  # whatever it is, the program can be made anew
         return _read(path)
     with _uncached():  # what JAX's cache has read, XLA cannot write again
         program = jitted.lower(*args).compile()
-    with contextlib.suppress(OSError):  # a folder that cannot be written costs time, nothing else
+    with contextlib.suppress(Exception):  # a program that cannot be kept costs time, nothing else
         _write(path, program)
     return program
 

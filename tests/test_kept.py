@@ -1,6 +1,7 @@
 """Programs that outlive their process: found again where nothing has changed, and only there."""
 
 import dataclasses
+import functools
 import os
 import time
 
@@ -96,6 +97,14 @@ def test_a_folder_that_cannot_be_written_costs_time_only(folder):
     assert [called(), called()] == [1, 1]
 
 
+def test_a_program_that_cannot_be_kept_costs_time_only(folder, monkeypatch):
+    def refused(program):
+        raise ValueError("Compilation does not support serialization")
+
+    monkeypatch.setattr(kept.serialize_executable, "serialize", refused)
+    assert [called(), called()] == [1, 1]
+
+
 def test_the_programs_used_longest_ago_go_first(folder, monkeypatch):
     monkeypatch.setattr(kept, "MOST", 2)
     assert [called("a"), called("b")] == [1, 1]
@@ -144,7 +153,9 @@ def test_the_origin_of_a_problem_tells_its_config_objective_and_batch(puma):
     other = dataclasses.replace(puma, fingerprint="another arm")
     origins += [origin(dataclasses.replace(config, robot=other))]
     assert len(set(origins)) == len(origins) and origin() == origin()
-    assert origin(objective=OBJECTIVE | {"mine": Term(1.0, lambda run: jnp.zeros(()))}) is None
+    delay = OBJECTIVE["delay"].value
+    strangers = (lambda run: jnp.zeros(()), functools.wraps(delay)(lambda run: 2 * delay(run)), functools.partial(delay))
+    assert [origin(objective=OBJECTIVE | {"mine": Term(1.0, mine)}) for mine in strangers] == [None] * 3
 
 
 def test_the_origin_of_a_space_tells_every_number_of_its_start(puma):

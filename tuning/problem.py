@@ -20,6 +20,7 @@ from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
 from jaxftc.parallel import over_scenarios
 from jaxftc.types import Array
+from tuning import terms as built_in
 from tuning.terms import Run, Term
 from tuning.transform import Space
 
@@ -40,9 +41,7 @@ class Problem:
         self.config, self.objective, self.key, self.batch = config, dict(objective), key, batch
         self.names = tuple(self.objective)
         self.weights = np.array([term.weight for term in self.objective.values()], float)
-        every = [(name, *term._replace(value=term.value.__qualname__)) for name, term in self.objective.items()]
-        ours = all(term.value.__module__ == "tuning.terms" for term in self.objective.values())
-        self.origin = f"{config} {every} {batch}" if ours else None  # a user's own function says nothing about its source
+        self.origin = _origin(config, self.objective, batch)
         self._scores = jit(
             over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch), origin=self.origin
         )
@@ -127,7 +126,7 @@ class Problem:
             alone, pull_alone = jax.vjp(lambda theta: self._alone(space.gains(theta, widen)), theta)
             simulated, pull = jax.vjp(at, copies(theta)) if mode == "reverse" else (at(copies(theta)), None)
             terms = self._joined(alone, simulated)
-            weights = self._pull(terms, start)
+            weights = self._pull(terms, start).astype(theta.dtype)
             if pull is not None:
                 slopes = pull(jnp.broadcast_to(weights[~gains_only, None], simulated.shape))[0]
             else:
@@ -137,7 +136,8 @@ class Problem:
                     change = lambda d: (at(copies(theta + DIFFERENCE * d)) - simulated) / DIFFERENCE  # noqa: E731
                 changes = jax.lax.map(change, jnp.eye(theta.size, dtype=theta.dtype))
                 slopes = jnp.einsum("k,pkb->pb", weights[~gains_only], changes)
-            slopes = slopes + pull_alone(weights[gains_only])[0][:, None]
+            own = pull_alone(weights[gains_only])[0][:, None]
+            slopes = jnp.where((terms == LOST).all(0), slopes, slopes + own)
             length = jnp.sqrt((slopes * slopes).sum(0))
             return terms, jnp.where(jnp.isfinite(length), slopes * jnp.minimum(1.0, CLIP / (length + 1e-12)), 0.0)
 
@@ -147,6 +147,14 @@ class Problem:
         """Derivative [terms] of the loss by the mean of each term."""
         worse = terms.mean(1) > start.mean(1)
         return jnp.asarray(self.weights, terms.dtype) * (1 + GUARD * worse)
+
+
+def _origin(config: Config, objective: Mapping[str, Term], batch: int) -> str | None:
+    """What a problem's programs are made of; None with a user's own function, which says nothing about its source."""
+    if any(getattr(built_in, getattr(term.value, "__name__", ""), None) is not term.value for term in objective.values()):
+        return None
+    every = [(name, term.weight, term.value.__name__, term.gains_only) for name, term in objective.items()]
+    return repr((config, every, batch))
 
 
 def _rows(values: list[Array], axes: tuple[int, ...]) -> Array:

@@ -100,12 +100,12 @@ def _join(a: Inertia, b: Inertia) -> Inertia:
 
 
 def nominal_inertias(robot: Robot) -> list[Inertia]:
-    """The links as the model has them: Python floats, so that zeros vanish from the compiled step."""
+    """The model's links as base parameters: Python floats, so that zeros vanish from the compiled step."""
     return _grouped(robot, [link_inertia(link) for link in robot.links])
 
 
 def scaled_inertias(robot: Robot, mass: Array, payload: Array) -> list[Inertia]:
-    """The links with ``mass`` [n, ...] as factors, and ``payload`` [...] kg at the tool."""
+    """The links with ``mass`` [n, ...] as factors and ``payload`` [...] kg at the tool, as base parameters."""
     inertias = [link_inertia(link, scale) for link, scale in zip(robot.links, lanes(mass), strict=True)]
     inertias[-1] = _join(inertias[-1], link_inertia(robot.payload_link, payload))
     return _grouped(robot, inertias)
