@@ -59,7 +59,7 @@ class Bench(common.Options):
 
     def run(self) -> None:
         """Measure, print, write."""
-        common.prepare(self, gradients=self.suite != "speed")
+        common.prepare(self, many=True, devices=self.suite != "speed")
         from benchmarks import baseline, machine
         from jaxftc import Config, checks
 

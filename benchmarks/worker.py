@@ -109,7 +109,7 @@ def main(task: Task) -> None:
     options = common.Options(
         engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
     )
-    common.prepare(options, gradients=task.what == "gradient")  # as `jaxftc tune` does
+    common.prepare(options, many=task.what in ("loop", "gradient"), devices=task.what == "gradient")  # as the commands do
     if task.what == "tick":  # as a control loop does, see jaxftc.Tick
         import jax
 

@@ -24,8 +24,11 @@ from jaxftc.fusion import planned, whole
 from jaxftc.kept import across_processes
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
-_WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
-_PLANNED = {"xla_disable_hlo_passes": "cse_barrier_expander,small-while-loop-hoisting"}
+_WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner,cpu_multi_output_fusion"}
+_PLANNED = {
+    "xla_disable_hlo_passes": "cse,cse_barrier_expander,small-while-loop-hoisting",
+    "xla_cpu_prefer_vector_width": 512,  # bits, where the processor has them; XLA stops at 256
+}
 
 
 @functools.cache

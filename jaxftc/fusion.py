@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -93,6 +93,7 @@ class Program(NamedTuple):
     inputs: tuple[int, ...]
     steps: tuple[Step, ...]
     outputs: tuple[Any, ...]
+    loops: tuple[tuple[int, ...], ...]  # positions of the steps of each, in order: the last is kept, the rest is its own
     fenced: frozenset[int]
     cut: frozenset[int]  # values that parts are taken of
     bodies: dict[int, Program]  # of the loops among the steps
@@ -153,8 +154,9 @@ def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) ->
             bodies[k] = plan(inner, fences=fences, repeated=repeated or step.primitive.name == "scan")
     around = bool(bodies) and not repeated
     cut = _cut(kept) if fences and not around else frozenset()
-    chosen = _fences(kept, outputs, cut, around) if fences else ()
-    return Program(inputs, tuple(kept), outputs, frozenset(chosen), cut, bodies)
+    chosen = frozenset(_fences(kept, outputs, cut, around)) if fences else frozenset()
+    loops = _loops(kept, outputs, chosen) if fences else ((k,) for k in range(len(kept)))
+    return Program(inputs, tuple(kept), outputs, tuple(loops), chosen, cut, bodies)
 
 
 def _extent(program: Program) -> float:
@@ -263,6 +265,20 @@ def _fences(steps: Sequence[Step], outputs: Sequence[Any], cut: frozenset[int], 
     return fenced if around else fenced | {k for k, step in enumerate(steps) if step.primitive.name in _JOINS}
 
 
+def _loops(steps: Sequence[Step], outputs: Sequence[Any], fenced: frozenset[int]) -> Iterator[tuple[int, ...]]:
+    """Loops that end in what is fenced, returned or computed on its own; what is none of it is part of all that use it."""
+    maker = {output: k for k, step in enumerate(steps) for output in step.outputs}
+    ends = fenced | {maker[x] for x in outputs if isinstance(x, int) and x in maker}
+    loops: list[set[int]] = []
+    for k, step in enumerate(steps):
+        before = (loops[maker[x]] for x in step.inputs if isinstance(x, int) and x in maker)
+        loop = {k}.union(*before)
+        if k in ends or step.stored:
+            yield tuple(sorted(loop))
+            loop = set()
+        loops.append(loop)
+
+
 def evaluate(program: Program, args: Sequence[Any]) -> list[Any]:
     """The results of a program."""
     return _run(program, args, {})[0]
@@ -272,19 +288,19 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
     """The results of a program, and what its loops left in their ``stacks`` (see ``_stacks``)."""
     values: dict[int, Any] = dict(zip(program.inputs, args, strict=True))
     left = {}
-
-    def read(x: Any) -> Any:
-        return x.value if isinstance(x, Value) else values[x]
-
-    for k, step in enumerate(program.steps):
-        given = [read(x) for x in step.inputs]
-        if k in program.bodies:
-            results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
-            left |= {k: filled} if filled else {}
-        else:
-            results = _apply(step, given)
-        values |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
-    return [read(x) for x in program.outputs], left
+    for loop in program.loops:
+        own: dict[int, Any] = {}
+        for k in loop:
+            step = program.steps[k]
+            given = [x.value if isinstance(x, Value) else own[x] if x in own else values[x] for x in step.inputs]
+            if k in program.bodies:
+                results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
+                left |= {k: filled} if filled else {}
+            else:
+                results = _apply(step, given)
+            own |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
+        values |= {x: own[x] for x in program.steps[loop[-1]].outputs}
+    return [x.value if isinstance(x, Value) else values[x] for x in program.outputs], left
 
 
 def _apply(step: Step, inputs: list[Any]) -> list[Any]:

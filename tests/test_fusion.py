@@ -69,6 +69,24 @@ def test_a_costly_value_with_many_readers_is_stored_and_a_cheap_one_is_not():
     assert fences(lambda x: readers(x + 1), jnp.ones(8)) == 0
 
 
+def test_what_is_not_stored_is_part_of_every_loop_that_uses_it():
+    """XLA would store a value with several uses where loops may have several results."""
+
+    def fun(x):
+        cheap = x + 1
+        return cheap * 2, cheap * 3
+
+    program = plan(jax.make_jaxpr(fun)(jnp.ones(8)))
+    assert [[program.steps[k].primitive.name for k in loop] for loop in program.loops] == [["add", "mul"], ["add", "mul"]]
+    text = str(jax.make_jaxpr(planned(fun))(jnp.ones(8)))
+    assert text.count("add") == 2
+
+
+def test_without_fences_everything_is_computed_once():
+    program = plan(jax.make_jaxpr(lambda x: ((x + 1) * 2, (x + 1) * 3))(jnp.ones(8)), fences=False)
+    assert [len(loop) for loop in program.loops] == [1] * len(program.steps)
+
+
 def test_a_value_that_ends_in_one_loop_is_not_stored():
     assert fences(lambda x: jnp.sin(x) * 2 + jnp.sin(x) * jnp.sin(x), jnp.ones((6, 512))) == 0
 

@@ -63,7 +63,7 @@ class Tune(common.Options):
 
     def run(self) -> None:
         """Tune, compare, write."""
-        common.prepare(self, gradients=True)
+        common.prepare(self, many=True, devices=True)
         import jax
 
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains

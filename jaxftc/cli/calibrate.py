@@ -42,7 +42,7 @@ class Calibrate(Laws):
         from jaxftc import checks
 
         checks.integer("--runs", self.runs, 2, "half of them set the thresholds, half check them")
-        common.prepare(self)
+        common.prepare(self, many=True)
         from tqdm import tqdm
 
         from jaxftc import save_gains

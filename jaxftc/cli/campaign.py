@@ -86,7 +86,7 @@ class Campaign(Laws):
         checks.integer("-n", self.n, 1, "it is the number of scenarios")
         checks.integer("--worst", self.worst, 0, "it is the number of traces in the report")
         names = self._names()
-        common.prepare(self)
+        common.prepare(self, many=True)
         import json
 
         from jaxftc.monte_carlo import page, store, versus

@@ -46,20 +46,21 @@ def say(options: Options, text: str = "") -> None:
     print(text, file=sys.stderr if options.json else sys.stdout)
 
 
-def prepare(options: Options, *, gradients: bool = False) -> None:
+def prepare(options: Options, *, many: bool = False, devices: bool = False) -> None:
     """Settings of JAX that a command may make: the persistent compilation cache, and XLA's log.
 
-    ``gradients`` makes each core a device, for commands that spread scenarios over devices, and lets a loop on the CPU have
-    several results (a flag of XLA's that no compile option reaches): of use to gradients, where values have many uses.
+    ``many`` is for commands that run many scenarios side by side: it lets a loop on the CPU have several results, by a flag
+    of XLA's that no compile option reaches. Programs for single arms take longer with it. ``devices`` makes each core a
+    device, for commands that spread one program over them.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     flags = os.environ.get("XLA_FLAGS", "")  # read when JAX starts, so not to be changed later
-    if gradients and "jax" not in sys.modules and "xla_backend_extra_options" not in flags:
+    if many and "jax" not in sys.modules and "xla_backend_extra_options" not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true".strip()
     import jax
 
-    if gradients:
+    if devices:
         from jaxftc.parallel import cores
 
         jax.config.update("jax_num_cpu_devices", cores())

@@ -101,7 +101,7 @@ class _Program:
             last, trace = watch(config, gains, scenarios, key, blank, look)
             return last.score, trace
 
-        self._run, self._lock, self._compiled = jit(block), threading.Lock(), False
+        self._run, self._lock, self._compiled = jit(block, origin=repr(config)), threading.Lock(), False
 
     def __call__(self, key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
         if self._compiled:
