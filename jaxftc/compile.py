@@ -1,7 +1,7 @@
 """The one place where functions are compiled by this library.
 
 On the CPU, XLA's own way makes a step of many small operations 20 to 140 times slower than need be. There are two ways out
-(``fusion.py``), by the size of what a program is given. Programs on large arrays are fenced; the pass that strips fences
+(``fusion``), by the size of what a program is given. Programs on large arrays are fenced; the pass that strips fences
 before XLA fuses is switched off, and so is XLA's own way with small loops, which knows no fences. Programs on small arrays,
 single arms first of all, have little to gain from vector units: they become one function, which only XLA's older code path
 can emit. Options are set per compilation, and only where the installed XLA knows them; other backends compile as they do.
@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jax.core import Tracer
 
-from jaxftc.fusion import planned, whole
+from jaxftc.fusion.rewrite import planned, whole
 from jaxftc.kept import across_processes
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count

@@ -11,10 +11,12 @@ from hypothesis import strategies as st
 
 import jaxftc
 from jaxftc import compile as compiling
-from jaxftc import fusion
 from jaxftc.closed_loop import watch
 from jaxftc.faults.scenario import trail
-from jaxftc.fusion import evaluate, plan, planned
+from jaxftc.fusion import evaluate as evaluating
+from jaxftc.fusion.evaluate import evaluate, stack_shapes
+from jaxftc.fusion.plan import plan
+from jaxftc.fusion.rewrite import planned
 
 LANES = 64
 
@@ -129,7 +131,7 @@ def test_a_loop_over_little_compiles_with_fences():
 @pytest.mark.parametrize("reverse", [False, True])
 def test_a_loop_in_a_loop_is_handed_the_stacks_of_the_last_turn(monkeypatch, spread, reverse):
     """Whatever they hold is overwritten: every turn gives what it gives on its own."""
-    monkeypatch.setattr(fusion, "LARGE", 100)
+    monkeypatch.setattr(evaluating, "LARGE", 100)
     mesh = jax.sharding.Mesh(np.asarray(jax.devices()[:1]), ("lanes",))
 
     def inner(x):
@@ -154,7 +156,7 @@ def test_a_loop_in_a_loop_is_handed_the_stacks_of_the_last_turn(monkeypatch, spr
     x = jnp.linspace(0, 1, LANES)
     program = plan(jax.make_jaxpr(outer)(x))
     (turn,) = program.bodies.values()
-    assert [sorted(size for size, _ in each) for each in fusion._stacks(turn).values()] == [[(*[1] * spread, 5, LANES)] * 2]
+    assert [sorted(size for size, _ in each) for each in stack_shapes(turn).values()] == [[(*[1] * spread, 5, LANES)] * 2]
     for ours, theirs in zip(evaluate(program, [x]), jax.tree.leaves(outer(x)), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
