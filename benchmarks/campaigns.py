@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from benchmarks.machine import peak
 from benchmarks.results import Results, Setup, Table
-from benchmarks.worker import Failed
+from benchmarks.worker import Failed, environment
 
 MAIN = "from jaxftc.cli.main import main; main()"
 # On Linux a process tells its own peak at its end: what the system counts for it begins with its parent's.
@@ -40,10 +40,9 @@ def python(arguments: list[str], folder: Path, cache: Path) -> Ran:
     Raises:
         Failed: it ended with another code than 0.
     """
-    environment = os.environ | {"XDG_CACHE_HOME": str(cache)}
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         began = time.perf_counter()
-        child = subprocess.Popen([sys.executable, *arguments], cwd=folder, env=environment, stdout=out, stderr=err)
+        child = subprocess.Popen([sys.executable, *arguments], cwd=folder, env=environment(cache), stdout=out, stderr=err)
         _, status, usage = os.wait4(child.pid, 0)
         seconds = time.perf_counter() - began
         child.returncode = os.waitstatus_to_exitcode(status)

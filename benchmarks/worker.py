@@ -40,12 +40,11 @@ class Worker:
     def __init__(self, task: Task, cache: Path) -> None:
         self.task = task
         text = json.dumps(dataclasses.asdict(task))
-        environment = os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3"}
         self._child = subprocess.Popen(
             [sys.executable, "-m", "benchmarks.worker", text],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env=environment,
+            env=environment(cache),
             text=True,
         )
         try:
@@ -89,6 +88,12 @@ class Worker:
         _pipe(self._child.stdin).close()
         self._child.wait()
         _pipe(self._child.stdout).close()
+
+
+def environment(cache: Path) -> dict[str, str]:
+    """For a process of its own, with a cache of its own; it sets the flag that commands set itself, or goes without."""
+    flags = os.environ.get("XLA_FLAGS", "").replace(common.SEVERAL_RESULTS, "").strip()
+    return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": flags}
 
 
 def compiling(worker: Worker, rounds: int = 2) -> float:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
 
+SEVERAL_RESULTS = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"  # of a loop
+
 
 @dataclasses.dataclass
 class Options:
@@ -57,7 +59,7 @@ def prepare(options: Options, *, many: bool = False, devices: bool = False) -> N
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     flags = os.environ.get("XLA_FLAGS", "")  # read when JAX starts, so not to be changed later
     if many and "jax" not in sys.modules and "xla_backend_extra_options" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true".strip()
+        os.environ["XLA_FLAGS"] = f"{flags} {SEVERAL_RESULTS}".strip()
     import jax
 
     if devices:
