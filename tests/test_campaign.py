@@ -18,6 +18,7 @@ import pytest
 
 import jaxftc
 from jaxftc.cli.campaign import SchemeName
+from jaxftc.cli.common import SEVERAL_RESULTS
 from jaxftc.faults.preset_file import load_preset
 from jaxftc.files import write_parquet
 from jaxftc.monte_carlo import job as jobs
@@ -147,7 +148,9 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     """In small chunks, on another number of devices: a torn, a missing and a short file are run again, nothing else."""
     out, _ = folder
     whole = rows_of(out)
-    program = f"from jaxftc.monte_carlo import job; job.CHUNK = 100; {PROGRAM}"
+    # The flag that the command sets, which is too late once something has imported JAX.
+    flag = f"import os; os.environ['XLA_FLAGS'] = {SEVERAL_RESULTS!r}; "
+    program = f"{flag}from jaxftc.monte_carlo import job; job.CHUNK = 100; {PROGRAM}"
     command = ["campaign", "--out", tmp_path, "--worst", 0, *SHORT]
     one_core = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); " if hasattr(os, "sched_setaffinity") else ""
