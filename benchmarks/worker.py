@@ -92,8 +92,8 @@ class Worker:
 
 def environment(cache: Path) -> dict[str, str]:
     """For a process of its own, with a cache of its own; it sets the flag that commands set itself, or goes without."""
-    flags = os.environ.get("XLA_FLAGS", "").replace(common.SEVERAL_RESULTS, "").strip()
-    return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": flags}
+    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if flag != common.SEVERAL_RESULTS]
+    return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": " ".join(flags)}
 
 
 def compiling(worker: Worker, rounds: int = 2) -> float:

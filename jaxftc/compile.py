@@ -24,8 +24,9 @@ from jaxftc.fusion.rewrite import planned, whole
 from jaxftc.kept import across_processes
 
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
-_WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner,cpu_multi_output_fusion"}
+_WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
 _PLANNED = {
+    # The first would make one of what is written out for several loops; the others: see above.
     "xla_disable_hlo_passes": "cse,cse_barrier_expander,small-while-loop-hoisting",
     "xla_cpu_prefer_vector_width": 512,  # bits, where the processor has them; XLA stops at 256
 }
@@ -84,7 +85,10 @@ def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
 
 
 def _small(*values: object) -> bool:
-    """True for arguments of a small program; none is one where loops may have several results: it compiles for minutes."""
+    """True for arguments of a small program.
+
+    None is one where loops may have several results: one function of a few scenarios then compiles for many minutes.
+    """
     if "xla_cpu_use_multi_output_fusion=true" in os.environ.get("XLA_FLAGS", ""):
         return False
     return all(leaf.size <= SMALL for leaf in jax.tree.leaves(values) if getattr(leaf, "ndim", 0) > 1)

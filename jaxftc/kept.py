@@ -17,6 +17,7 @@ import os
 import pickle
 import platform
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from jaxftc.files import aside
 MOST = 64  # programs in the folder; the ones used longest ago go first
 BUILT_WITH = ("jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx")
 folder: Path | None = None  # where programs are kept; nowhere if None
+_one_at_a_time = threading.Lock()
 
 
 def across_processes(jitted: Any, origin: str) -> Callable[..., Any]:
@@ -45,9 +47,10 @@ def across_processes(jitted: Any, origin: str) -> Callable[..., Any]:
         leaves, tree = jax.tree.flatten(args)
         types = [jax.typeof(leaf) for leaf in leaves]
         signature = f"{tree}{[(str(t), t.weak_type) for t in types]}"
-        if signature not in programs:
-            name = hashlib.sha256(f"{_circumstances()}{origin}{signature}".encode()).hexdigest()
-            programs[signature] = _kept(jitted, args, folder / name)
+        with _one_at_a_time:  # threads that meet here need the same program, and making it changes a setting of JAX
+            if signature not in programs:
+                name = hashlib.sha256(f"{_circumstances()}{origin}{signature}".encode()).hexdigest()
+                programs[signature] = _kept(jitted, args, folder / name)
         return programs[signature](*args)
 
     return call

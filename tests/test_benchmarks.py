@@ -20,7 +20,9 @@ from benchmarks.cli import ranking_text, tuning_text
 from benchmarks.curves import Curve
 from benchmarks.peers import dynamics, mujoco_c, numpy_loop, urdf
 from benchmarks.slope import slope_error
+from benchmarks.worker import environment
 from jaxftc.arm.robot import compile_robot
+from jaxftc.cli.common import SEVERAL_RESULTS
 from jaxftc.cli.main import main
 from jaxftc.closed_loop import encoder_noise
 from tuning import Progress, Settings
@@ -157,6 +159,17 @@ def test_the_gate_stops_at_what_is_missing_on_either_side():
     assert baseline.compare(values, less) == ["loop_over_numpy is missing from this run; the baseline has 4.0"]
     assert "loop_over_numpy is missing from the baseline" in baseline.compare(less, values)[0]
     assert len(baseline.compare(values, {})) == len(values)
+
+
+def test_a_lucky_baseline_does_not_stop_a_perfect_run():
+    before = dict.fromkeys(metrics.gated(), 4.0) | {"campaign_linearity": 0.8}
+    assert baseline.compare(before, before | {"campaign_linearity": 1.0}) == []
+    assert len(baseline.compare(before, before | {"campaign_linearity": 1.2})) == 1
+
+
+def test_a_child_is_given_every_flag_but_the_commands_own(monkeypatch, tmp_path):
+    monkeypatch.setenv("XLA_FLAGS", f"--xla_a=1 {SEVERAL_RESULTS},xla_b=2 {SEVERAL_RESULTS}")
+    assert environment(tmp_path)["XLA_FLAGS"] == f"--xla_a=1 {SEVERAL_RESULTS},xla_b=2"
 
 
 def test_the_committed_baseline_is_of_the_committed_results():

@@ -4,6 +4,7 @@ import json
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -69,6 +70,8 @@ def test_columns_read_one_by_one_are_those_of_the_rows(folder, tmp_path, monkeyp
     out, printed = folder
     rows = rows_of(out)
     monkeypatch.setattr(store, "KEPT", 2)
+    for name in (store.GAINS, store.PRESET):
+        shutil.copy(out / name, tmp_path)
     store.write_manifest(tmp_path, store.read_manifest(out) | {"chunk": 64})
     for chunk in store.chunks(tmp_path, 300, 64):
         store.write_chunk(chunk, {name: column[chunk.ids] for name, column in rows.items()})
@@ -102,8 +105,8 @@ def test_parquet_has_every_promised_column_and_one_row_a_scenario(folder):
 
 def test_nothing_but_whole_files_is_left(folder):
     out, _ = folder
-    names = {path.name for path in out.iterdir()}
-    assert names == {"manifest.toml", "gains.toml", "preset.toml", "chunk-000000.parquet", "summary.json", "report.html"}
+    rows = {"manifest.toml", "gains.toml", "preset.toml", "chunk-000000.parquet"}
+    assert {path.name for path in out.iterdir()} == {".jaxftc", "summary.json", "report.html"} | rows
 
 
 def test_the_summary_counts_what_the_rows_say(folder):
@@ -169,6 +172,18 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     kept = {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}
     run(*command, "-n", 120, program=program)
     assert kept == {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}, "fewer scenarios lose no row"
+
+
+def test_a_campaign_does_not_go_on_from_gains_that_were_changed(folder, run, tmp_path):
+    """Its rows would be those of two sets of gains."""
+    out, _ = folder
+    changed = tmp_path / "changed"
+    shutil.copytree(out, changed)
+    gains = changed / store.GAINS
+    gains.write_text(gains.read_text() + "# another\n")
+    words = "gains.toml is not the file that this campaign began with; put it back"
+    assert words in run("campaign", "-n", 300, "--out", changed, *SHORT, code=2).stderr
+    assert words in run("simulate", "--from", changed, "--id", 7, code=2).stderr
 
 
 def test_two_campaigns_in_one_folder_are_kept_apart(tmp_path):

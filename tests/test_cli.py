@@ -151,6 +151,14 @@ def test_run_folders_are_numbered(tmp_path, monkeypatch):
     assert [common.make_folder(options, "simulate").name for _ in range(3)] == ["simulate-1", "simulate-2", "simulate-3"]
 
 
+def test_a_folder_is_one_commands_alone(tmp_path):
+    """What another command left there must not be lost."""
+    options = common.Options(out=tmp_path / "new" / "run")
+    assert common.make_folder(options, "campaign") == common.make_folder(options, "campaign") == options.out
+    with pytest.raises(ValueError, match="holds what jaxftc campaign made; give another folder with --out"):
+        common.make_folder(options, "calibrate")
+
+
 @pytest.mark.slow
 def test_demo_from_end_to_end(tmp_path):
     """The whole demo: schema of its JSON, one row a combination, a claim for each of the paper's, a report that opens."""
@@ -191,7 +199,7 @@ def test_tune_killed_and_resumed_is_tune_left_alone(tmp_path):
     assert set(result["held_out"]) == {"standard", "hard"} and result["held_out"]["hard"].keys() >= {"before", "after"}
     assert {"steps", "simulations", "seconds", "gains"} <= result.keys() and result["steps"] == 15
     files = {path.name for path in (alone / "run").iterdir()}
-    assert files == {"checkpoint.npz", "gains.toml", "history.parquet", "report.html", "result.json"}
+    assert files == {".jaxftc", "checkpoint.npz", "gains.toml", "history.parquet", "report.html", "result.json"}
     rows = duckdb.sql(f"select * from '{alone / 'run' / 'history.parquet'}'").fetchnumpy()
     assert rows["step"].tolist() == [5, 10, 15] and "term_tracking" in rows
     page = (alone / "run" / "report.html").read_text()

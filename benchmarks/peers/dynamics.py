@@ -38,7 +38,7 @@ def peers(robot: Robot) -> list[Peer]:
         Peer("MuJoCo C", "mj_forward, one thread, Python loop", 2048, _mujoco),
         Peer("pinocchio", "aba, one thread, Python loop", 2048, _pinocchio, "pinocchio"),
         Peer("pinocchio in parallel", "abaInParallel, all cores", 16384, _pinocchio_parallel, "pinocchio"),
-        Peer("frax", "jit(vmap), XLA's own options", 4096, _frax, "frax"),
+        Peer("frax", "jit(vmap), with the flag of campaigns", 4096, _frax, "frax"),
     ]
     if robot.name.startswith("puma560"):
         how = "Puma560().accel, one thread, Python loop"

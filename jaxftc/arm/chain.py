@@ -62,7 +62,7 @@ def _sum(*terms: Lane) -> Lane:
     return total
 
 
-def _less(a: Lane, b: Lane) -> Lane:
+def _minus(a: Lane, b: Lane) -> Lane:
     return _sum(a, -b) if isinstance(a, float) or isinstance(b, float) else a - b
 
 
@@ -79,7 +79,7 @@ def _scale(s: Lane, v: Vector) -> Vector:
 
 
 def _cross(u: Vector, v: Vector) -> Vector:
-    return tuple(_less(_mul(u[i], v[j]), _mul(u[j], v[i])) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
+    return tuple(_minus(_mul(u[i], v[j]), _mul(u[j], v[i])) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
 
 
 def _symmetric(tensor: Sequence[Lane], v: Vector) -> Vector:
@@ -126,7 +126,7 @@ def _grouped(robot: Robot, inertias: list[Inertia]) -> list[Inertia]:
     grouped = []
     for i in reversed(range(robot.n)):
         mass, (mx, my, mz), (xx, yy, zz, xy, xz, yz) = _join(inertias[i], given)
-        grouped.append(Inertia(0.0, (mx, my, 0.0), (_less(xx, yy), 0.0, zz, xy, xz, yz)))
+        grouped.append(Inertia(0.0, (mx, my, 0.0), (_minus(xx, yy), 0.0, zz, xy, xz, yz)))
         given = _inertia_to_parent(robot, still, i, Inertia(mass, (0.0, 0.0, mz), (yy, yy, 0.0, 0.0, 0.0, 0.0)))
     return grouped[::-1]
 
@@ -151,12 +151,12 @@ def trailing_constant(values: np.ndarray, like: Array) -> Array:
 
 def _turn(at: Pose, i: int, v: Vector) -> Vector:
     c, s = at.cos[i], at.sin[i]
-    return (_less(_mul(c, v[0]), _mul(s, v[1])), _sum(_mul(s, v[0]), _mul(c, v[1])), v[2])
+    return (_minus(_mul(c, v[0]), _mul(s, v[1])), _sum(_mul(s, v[0]), _mul(c, v[1])), v[2])
 
 
 def _unturn(at: Pose, i: int, v: Vector) -> Vector:
     c, s = at.cos[i], at.sin[i]
-    return (_sum(_mul(c, v[0]), _mul(s, v[1])), _less(_mul(c, v[1]), _mul(s, v[0])), v[2])
+    return (_sum(_mul(c, v[0]), _mul(s, v[1])), _minus(_mul(c, v[1]), _mul(s, v[0])), v[2])
 
 
 def _to_parent(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:
@@ -239,7 +239,7 @@ def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia
 
     def entry(a: int, b: int) -> Lane:
         shift = _sum(_mul(moment[a], p[b]), _mul(moment[b], p[a]), _mul(p[a] * p[b], body.mass))
-        return _less(_sum(rows[a][b], far if a == b else 0.0), shift)
+        return _minus(_sum(rows[a][b], far if a == b else 0.0), shift)
 
     tensor = tuple(entry(a, b) for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
     return Inertia(body.mass, _add(moment, _scale(body.mass, p)), tensor)  # pyright: ignore[reportArgumentType]
@@ -282,9 +282,9 @@ def _factors(below: dict[tuple[int, int], Lane], n: int) -> _Factors:
     scaled: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     inverse: list[Lane] = [0.0] * n
     for j in range(n):
-        inverse[j] = 1.0 / _less(below[j, j], _dot(low[j][:j], scaled[j][:j]))
+        inverse[j] = 1.0 / _minus(below[j, j], _dot(low[j][:j], scaled[j][:j]))
         for i in range(j + 1, n):
-            scaled[i][j] = _less(below[i, j], _dot(scaled[i][:j], low[j][:j]))
+            scaled[i][j] = _minus(below[i, j], _dot(scaled[i][:j], low[j][:j]))
             low[i][j] = _mul(scaled[i][j], inverse[j])
     return _Factors(low, inverse)
 
@@ -293,8 +293,8 @@ def _substitute(factors: _Factors, right: list[Lane]) -> list[Lane]:
     low, n = factors.low, len(right)
     x: list[Lane] = []
     for i in range(n):
-        x.append(_less(right[i], _dot(low[i][:i], x)))
+        x.append(_minus(right[i], _dot(low[i][:i], x)))
     x = [_mul(part, inverse) for part, inverse in zip(x, factors.inverse, strict=True)]
     for i in reversed(range(n)):
-        x[i] = _less(x[i], _dot([low[k][i] for k in range(i + 1, n)], x[i + 1 :]))
+        x[i] = _minus(x[i], _dot([low[k][i] for k in range(i + 1, n)], x[i + 1 :]))
     return x

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
 
+MARK = ".jaxftc"  # in a folder of results: the command that made it
 SEVERAL_RESULTS = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"  # of a loop
 
 
@@ -105,26 +106,34 @@ def load_or_default(options: Options, config: Config) -> Gains:
 
 
 def make_folder(options: Options, command: str) -> Path:
-    """The folder for results, made; the first free number if none was named.
+    """The folder for results, made and marked as the command's; the first free number if none was named.
 
     Raises:
-        ValueError: the folder cannot be made or written.
+        ValueError: the folder cannot be made or written, or holds what another command made.
     """
     try:
-        if options.out is not None:
-            options.out.mkdir(parents=True, exist_ok=True)
-            return options.out
-        runs = Path("runs")
-        runs.mkdir(exist_ok=True)
-        number = 1
-        while True:
-            try:
-                (runs / f"{command}-{number}").mkdir()
-                return runs / f"{command}-{number}"
-            except FileExistsError:
-                number += 1
+        folder = _numbered(command) if options.out is None else options.out
+        folder.mkdir(parents=True, exist_ok=True)
+        mark = folder / MARK
+        made_by = mark.read_text(encoding="utf-8").strip() if mark.exists() else command
+        if made_by == command:
+            write_text(mark, command + "\n")
+            return folder
     except OSError as error:
         raise ValueError(f"cannot write results: {error}; give another folder with --out") from error
+    raise ValueError(f"{folder} holds what jaxftc {made_by} made; give another folder with --out")
+
+
+def _numbered(command: str) -> Path:
+    """A new folder in ``runs``, of the first number that is free."""
+    number = 1
+    while True:
+        folder = Path("runs") / f"{command}-{number}"
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            number += 1
 
 
 def write_json(path: Path, value: dict[str, Any]) -> str:

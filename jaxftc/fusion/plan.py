@@ -46,7 +46,8 @@ def plan(traced: ClosedJaxpr, *, fences: bool = True, repeated: bool = False) ->
     around = bool(bodies) and not repeated
     cut = _cut(kept) if fences and not around else frozenset()
     chosen = frozenset(_fences(kept, outputs, cut, around)) if fences else frozenset()
-    loops = _loops(kept, outputs, chosen) if fences else ((k,) for k in range(len(kept)))
+    repeat = fences and not around  # what runs once costs more to compile twice than to store
+    loops = _loops(kept, outputs, chosen) if repeat else ((k,) for k in range(len(kept)))
     return Program(inputs, tuple(kept), outputs, tuple(loops), chosen, cut, bodies)
 
 
@@ -108,11 +109,11 @@ def _loops(steps: Sequence[Step], outputs: Sequence[Any], fenced: frozenset[int]
     """Loops that end in what is fenced, returned or computed on its own; what is none of it is part of all that use it."""
     maker = {output: k for k, step in enumerate(steps) for output in step.outputs}
     ends = fenced | {maker[x] for x in outputs if isinstance(x, int) and x in maker}
-    loops: list[set[int]] = []
-    for k, step in enumerate(steps):
-        before = (loops[maker[x]] for x in step.inputs if isinstance(x, int) and x in maker)
-        loop = {k}.union(*before)
-        if k in ends or step.stored:
-            yield tuple(sorted(loop))
-            loop = set()
-        loops.append(loop)
+    ends |= {k for k, step in enumerate(steps) if step.stored}
+    for k in sorted(ends):
+        loop, left = {k}, [k]
+        while left:
+            makers = {maker[x] for x in steps[left.pop()].inputs if isinstance(x, int) and x in maker}
+            left += makers - ends - loop
+            loop |= makers - ends
+        yield tuple(sorted(loop))

@@ -126,6 +126,7 @@ def begin(
     made_with = {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
     if (folder / store.MANIFEST).exists():
         store.agree(folder, request)
+        store.unaltered(folder)
         manifest = store.read_manifest(folder)
         if manifest["made_with"] != made_with:
             versions = [" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with)]
@@ -194,6 +195,7 @@ def load(folder: Path, base: Config) -> Job:
     Raises:
         ValueError: no campaign, or the robot is another one than it ran with.
     """
+    store.unaltered(folder)
     manifest = store.read_manifest(folder)
     config = scheme_config(base, manifest["request"]["scheme"])
     ours, theirs = describe(config), manifest["config"]

@@ -62,8 +62,23 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
-    """Written last of the files it names."""
-    write_text(folder / MANIFEST, tomli_w.dumps(manifest))
+    """Written last, with the fingerprints of the files that rows depend on."""
+    files = {name: fingerprint((folder / name).read_text(encoding="utf-8")) for name in (GAINS, PRESET)}
+    write_text(folder / MANIFEST, tomli_w.dumps(manifest | {"files": files}))
+
+
+def unaltered(folder: Path) -> None:
+    """Refuse to go on from files that are not those that the campaign began with.
+
+    Raises:
+        ValueError: naming the first one.
+    """
+    for name, mark in read_manifest(folder).get("files", {}).items():
+        path = folder / name
+        if not path.exists() or fingerprint(path.read_text(encoding="utf-8")) != mark:
+            raise ValueError(
+                f"{path} is not the file that this campaign began with; put it back, or begin anew with another --out"
+            )
 
 
 def agree(folder: Path, request: dict[str, Any]) -> None:
