@@ -29,6 +29,12 @@ SHORT = ["--duration", "0.4", "--seed", "5"]
 PROGRAM = "from jaxftc.cli.main import main; main()"
 
 
+def with_job(change):
+    """The program with a constant of ``job`` changed; XLA's flag first: once JAX is imported a command sets none."""
+    flag = f"import os; os.environ['XLA_FLAGS'] = {SEVERAL_RESULTS!r}"
+    return f"{flag}; from jaxftc.monte_carlo import job; job.{change}; {PROGRAM}"
+
+
 @pytest.fixture(scope="module")
 def run(request):
     """Run the command in a fresh process; compiled programs stay in pytest's cache folder."""
@@ -151,9 +157,7 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     """In small chunks, on another number of devices: a torn, a missing and a short file are run again, nothing else."""
     out, _ = folder
     whole = rows_of(out)
-    # The flag that the command sets, which is too late once something has imported JAX.
-    flag = f"import os; os.environ['XLA_FLAGS'] = {SEVERAL_RESULTS!r}; "
-    program = f"{flag}from jaxftc.monte_carlo import job; job.CHUNK = 100; {PROGRAM}"
+    program = with_job("CHUNK = 100")
     command = ["campaign", "--out", tmp_path, "--worst", 0, *SHORT]
     one_core = (
         "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); " if hasattr(os, "sched_setaffinity") else ""
@@ -336,7 +340,7 @@ def test_the_best_of_each_column_carries_a_star():
 
 
 def test_schemes_run_on_the_same_scenarios_at_the_same_false_alarms(run, tmp_path):
-    program = f"from jaxftc.monte_carlo import job; job.HEALTHY = 300; {PROGRAM}"
+    program = with_job("HEALTHY = 300")
     command = ["campaign", "-n", 60, "--compare", "momentum,computed_torque", "--false-alarms", 0.05, "--out", tmp_path]
     done = run(*command, "--worst", 0, "--json", *SHORT, program=program)
     printed = json.loads(done.stdout)
@@ -402,7 +406,7 @@ def test_both_engines_give_the_same_verdicts(puma):
 def test_a_campaign_killed_twenty_times_loses_nothing(folder, run, tmp_path):
     """Kill -9 at random moments, the same command again each time: the rows are those of a campaign left alone."""
     out, _ = folder
-    program = f"from jaxftc.monte_carlo import job; job.CHUNK = 20; {PROGRAM}"
+    program = with_job("CHUNK = 20")
     rows_at, warm = tmp_path / "run", tmp_path / "warm"
     command = [sys.executable, "-c", program, "campaign", "-n", "300", "--out", str(rows_at), "--worst", "0", *SHORT]
     environment = os.environ | {"XDG_CACHE_HOME": run.home}
