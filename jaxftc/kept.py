@@ -39,19 +39,20 @@ def across_processes(jitted: Any, origin: str) -> Callable[..., Any]:
 
     JAX's settings count as at the first call with arguments of a kind, constants of modules as their source has them.
     """
-    programs: dict[str, Any] = {}
+    programs: dict[Any, Any] = {}
 
     def call(*args: Any) -> Any:
         if folder is None:
             return jitted(*args)
         leaves, tree = jax.tree.flatten(args)
-        types = [jax.typeof(leaf) for leaf in leaves]
-        signature = f"{tree}{[(str(t), t.weak_type) for t in types]}"
-        with _one_at_a_time:  # threads that meet here need the same program, and making it changes a setting of JAX
-            if signature not in programs:
-                name = hashlib.sha256(f"{_circumstances()}{origin}{signature}".encode()).hexdigest()
-                programs[signature] = _kept(jitted, args, folder / name)
-        return programs[signature](*args)
+        types = tuple(map(jax.typeof, leaves))
+        kind = tree, types
+        if kind not in programs:
+            with _one_at_a_time:  # threads that meet here need the same program, and making it changes a setting of JAX
+                if kind not in programs:
+                    text = f"{_circumstances()}{origin}{tree}{[(str(t), t.weak_type) for t in types]}"
+                    programs[kind] = _kept(jitted, args, folder / hashlib.sha256(text.encode()).hexdigest())
+        return programs[kind](*args)
 
     return call
 

@@ -32,8 +32,8 @@ def cos_sin(x: Array) -> tuple[Array, Array]:
         rest = rest - turns * part
     rest = jnp.clip(rest, -0.8, 0.8)  # an angle with no digits left of a turn gets some cosine, not a huge one
     square = rest * rest
-    sine = rest + rest * square * _polynomial(_SIN, square)
-    cosine = 1 - 0.5 * square + square * square * _polynomial(_COS, square)
+    sine = rest + rest * square * polynomial(_SIN, square)
+    cosine = 1 - 0.5 * square + square * square * polynomial(_COS, square)
     quadrant = turns - 4 * jnp.floor(turns * 0.25)
     odd, sin_sign = (quadrant == 1) | (quadrant == 3), jnp.where(quadrant >= 2, -1.0, 1.0)
     cos_sign = jnp.where((quadrant == 1) | (quadrant == 2), -1.0, 1.0)
@@ -47,7 +47,8 @@ def _derivative(primals: tuple[Any], tangents: tuple[Any]) -> tuple[Any, Any]:
     return (cosine, sine), (-sine * turning, cosine * turning)
 
 
-def _polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
+def polynomial(coefficients: tuple[float, ...], x: Array) -> Array:
+    """Value of a polynomial from its coefficients, highest power first."""
     total = jnp.full_like(x, coefficients[0])
     for coefficient in coefficients[1:]:
         total = total * x + coefficient

@@ -85,7 +85,7 @@ def stack(scenarios: list[Scenario]) -> Scenario:
 
 def trail(scenarios: Scenario) -> Scenario:
     """From a leading scenario axis, as sampled, to a trailing one, as simulated."""
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1), scenarios)
+    return jax.tree.map(lambda leaf: (np if isinstance(leaf, np.ndarray) else jnp).moveaxis(leaf, 0, -1), scenarios)
 
 
 def take(scenarios: Scenario, rows: np.ndarray | slice) -> Scenario:
