@@ -32,10 +32,20 @@ _PLANNED = {
 }
 
 
+_ALONE = (
+    ",cpu-parallel-task-assigner"  # the pass that hands parts of large loops to other cores, which then wait for each other
+)
+
+
 @functools.cache
-def compiler_options(*, small: bool = False) -> dict[str, Any]:
-    """Options for the default backend: empty where they are unknown, so that nothing breaks."""
-    options = _WHOLE if small else _PLANNED
+def compiler_options(*, small: bool = False, alone: bool = False) -> dict[str, Any]:
+    """Options for the default backend: empty where they are unknown, so that nothing breaks.
+
+    A program that runs ``alone`` on its core, others like it beside it, is not spread over cores.
+    """
+    options = dict(_WHOLE if small else _PLANNED)
+    if alone:
+        options["xla_disable_hlo_passes"] += _ALONE
     if jax.default_backend() != "cpu":
         return {}
     try:
@@ -48,8 +58,8 @@ def compiler_options(*, small: bool = False) -> dict[str, Any]:
 def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) -> Any:
     """``jax.jit`` as said above; what is needed is made at the first call, so that importing starts no backend.
 
-    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``); all
-    arguments are arrays then, given by position, and there are no ``kwargs``.
+    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``) and are
+    made to run one a core; all arguments are arrays then, given by position, and there are no ``kwargs``.
 
     Plan and options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds
     for ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without them: wrap those in this ``jit``.
@@ -58,7 +68,7 @@ def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) ->
 
     @functools.cache
     def by_size(small: bool) -> Any:
-        jitted = _jitted(fun, small, **kwargs)
+        jitted = _jitted(fun, small, origin is not None, **kwargs)
         name = repr((fun.__module__, fun.__qualname__, small, origin))
         return jitted if origin is None else across_processes(jitted, name)
 
@@ -78,8 +88,8 @@ def ahead(fun: Callable[..., Any], *examples: Any) -> Any:
         return _jitted(fun, small=True).lower(*examples).compile()
 
 
-def _jitted(fun: Callable[..., Any], small: bool, **kwargs: Any) -> Any:
-    options = compiler_options(small=small)
+def _jitted(fun: Callable[..., Any], small: bool, alone: bool = False, **kwargs: Any) -> Any:
+    options = compiler_options(small=small, alone=alone)
     way = (whole if small else planned) if options else lambda fun: fun
     return jax.jit(way(fun), compiler_options=options, **kwargs)
 

@@ -1,9 +1,10 @@
 """Encoder noise, tick by tick: the standard normal numbers of a scenario are a function of the key and its id alone.
 
 The numbers are those of ``jax.random.normal(jax.random.fold_in(key, id), (ticks, n), jnp.float32)``, to 1e-5 of each (JAX's
-inverse error function is not more exact), for JAX's own keys with ``jax_threefry_partitionable`` on, as it is. That call would draw all of them before the loop, scenario by
-scenario, and store them; the same generator (threefry2x32, a hash of a counter) written out gives those of one tick where
-they are needed, [n, ...] as everything else is. Of a key of another kind the first two words are the generator's key.
+inverse error function is no more exact), for JAX's own keys with ``jax_threefry_partitionable`` on, as it is. That call
+would draw all of them before the loop, scenario by scenario, and store them; the same generator (threefry2x32, a hash of a
+counter) written out gives those of one tick where they are needed, [n, ...] as everything else is. Of a key of another kind
+the first two words are the generator's key.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from jaxftc.types import Array
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 # Polynomials, highest power first: the inverse error function over x, in w = -log(1 - x^2), near 0 and far out (Giles,
 # Approximating the erfinv function, 2011); the logarithm less its first two terms over r^3 (Moshier's Cephes, logf).
-_NEAR = (2.81022636e-8, 3.43273939e-7, -3.5233877e-6, -4.39150654e-6, 2.1858087e-4, -1.25372503e-3, -4.17768164e-3, 0.246640727)
-_NEAR += (1.50140941,)
-_FAR = (-2.00214257e-4, 1.00950558e-4, 1.34934322e-3, -3.67342844e-3, 5.73950773e-3, -7.6224613e-3, 9.43887047e-3, 1.00167406)
-_FAR += (2.83297682,)
+_NEAR = (2.81022636e-8, 3.43273939e-7, -3.5233877e-6, -4.39150654e-6, 2.1858087e-4, -1.25372503e-3, -4.17768164e-3)
+_NEAR += (0.246640727, 1.50140941)
+_FAR = (-2.00214257e-4, 1.00950558e-4, 1.34934322e-3, -3.67342844e-3, 5.73950773e-3, -7.6224613e-3, 9.43887047e-3)
+_FAR += (1.00167406, 2.83297682)
 _LOG = (7.0376836292e-2, -1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1, -1.6668057665e-1)
 _LOG += (2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1)
 

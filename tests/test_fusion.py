@@ -104,6 +104,25 @@ def test_an_array_that_is_computed_and_taken_apart_is_stored():
     assert fences(lambda x: x[0] * x[1], x) == 0
 
 
+@pytest.mark.parametrize(
+    "fun",
+    [
+        lambda x, y: (jnp.tanh(x) * y[:, None] - 2.0 * x).sum(0),
+        lambda x, y: (jnp.tanh(x) * x[:1]).max(0) * y[0],
+        lambda x, y: jnp.where(x > jnp.broadcast_to(x.min(0), x.shape), jnp.exp(x), 0.5).sum(0) + y[1],
+        lambda x, y: jnp.broadcast_to(jnp.sin(x)[:, None], (2, 3, LANES)).sum((0, 1)),
+    ],
+)
+def test_the_terms_of_a_sum_are_computed_one_by_one(fun):
+    """Of what is given or stored, parts are taken; what is computed in the loop is computed for each part."""
+    x, y = jnp.linspace(-1, 1, 2 * LANES).reshape(2, LANES), jnp.array([0.5, 0.25])
+    traced = jax.make_jaxpr(planned(fun))(x, y)
+    taken = {eqn.invars[0] for eqn in traced.eqns if eqn.primitive.name == "slice"}
+    computed = {v for eqn in traced.eqns if eqn.primitive.name not in ("optimization_barrier", "slice") for v in eqn.outvars}
+    assert taken and not taken & computed
+    np.testing.assert_allclose(jax.jit(planned(fun))(x, y), fun(x, y), rtol=1e-12)
+
+
 def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
     x = jnp.linspace(1, 2, 4 * 2 * LANES).reshape(4, 2, LANES)
 
@@ -249,6 +268,12 @@ def test_where_loops_have_several_results_no_program_is_small(monkeypatch):
     monkeypatch.setattr(compiling, "whole", lambda fun: pytest.fail("takes minutes to compile"))
     monkeypatch.setenv("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true")
     assert compiling.jit(lambda x: 2 * x)(jnp.ones(6)).shape == (6,)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_program_that_runs_one_a_core_is_not_spread(alone):
+    passes = compiling.compiler_options(alone=alone).get("xla_disable_hlo_passes", "")
+    assert ("cpu-parallel-task-assigner" in passes) == (alone and jax.default_backend() == "cpu")
 
 
 @pytest.mark.parametrize("small", [False, True])

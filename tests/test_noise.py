@@ -23,7 +23,7 @@ def run(key, ids, n):
 def test_the_numbers_are_those_of_jax(seed, scenario, n):
     key = jax.random.key(seed)
     theirs = jax.random.normal(jax.random.fold_in(key, jnp.uint32(scenario)), (TICKS, n), jnp.float32)
-    np.testing.assert_allclose(run(key, jnp.uint32(scenario), n), theirs, rtol=1e-5, atol=1e-7)  # JAX's own inverse is so exact
+    np.testing.assert_allclose(run(key, jnp.uint32(scenario), n), theirs, rtol=1e-5, atol=1e-7)  # as exact as JAX's
 
 
 def test_the_inverse_error_function_is_exact_to_rounding():

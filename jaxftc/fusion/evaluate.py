@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +14,7 @@ from jax import lax
 from jax.sharding import PartitionSpec
 
 from jaxftc.fusion.plan import Program
-from jaxftc.fusion.program import SUMS, Step, Value
+from jaxftc.fusion.program import ELEMENTWISE, SUMS, Step, Value
 
 LARGE = 100_000  # elements of a loop's results that are worth to be kept from turn to turn of a loop around it
 
@@ -29,25 +30,21 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
     left = {}
     for loop in program.loops:
         own: dict[int, Any] = {}
+        inside = {x: program.steps[k] for k in loop if k not in program.fenced for x in program.steps[k].outputs}
         for k in loop:
             step = program.steps[k]
             given = [x.value if isinstance(x, Value) else own[x] if x in own else values[x] for x in step.inputs]
             if k in program.bodies:
                 results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
                 left |= {k: filled} if filled else {}
+            elif step.primitive.name in SUMS and not step.stored:
+                results = [functools.reduce(SUMS[step.primitive.name], _terms(step, inside, values | own))]
             else:
-                results = _apply(step, given)
+                results = step.primitive.bind(*given, **step.params)
+                results = list(results) if step.primitive.multiple_results else [results]
             own |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
         values |= {x: own[x] for x in program.steps[loop[-1]].outputs}
     return [x.value if isinstance(x, Value) else values[x] for x in program.outputs], left
-
-
-def _apply(step: Step, inputs: list[Any]) -> list[Any]:
-    name, params = step.primitive.name, step.params
-    if name in SUMS and not step.stored:
-        return [functools.reduce(SUMS[name], _rows(inputs[0], params["axes"]))]
-    results = step.primitive.bind(*inputs, **params)
-    return list(results) if step.primitive.multiple_results else [results]
 
 
 def _scan(params: dict[str, Any], inner: Program, inputs: list[Any], stacks: list[Any]) -> tuple[list[Any], list[Any]]:
@@ -110,8 +107,38 @@ def stack_shapes(program: Program) -> dict[int, list[tuple[tuple[int, ...], Any]
     return found
 
 
-def _rows(x: Any, axes: Sequence[int]) -> list[Any]:
-    rows = [x]
-    for axis in sorted(axes, reverse=True):
-        rows = [lax.squeeze(part, [axis]) for row in rows for part in lax.split(row, [1] * row.shape[axis], axis)]
-    return rows
+def _terms(step: Step, inside: dict[int, Step], values: dict[int, Any]) -> list[Any]:
+    """What a sum over leading axes adds up; each term of what is computed in the same loop (``inside``) on its own.
+
+    XLA makes a function of a value that is computed and then taken apart, and where a loop has several results, such
+    functions keep it from being vectorised.
+    """
+    (x,), axes = step.inputs, sorted(step.params["axes"], reverse=True)
+    shape = _value(x, values).shape
+    return [
+        _part(x, dict(zip(axes, index, strict=True)), inside, values)
+        for index in itertools.product(*(range(shape[axis]) for axis in axes))
+    ]
+
+
+def _part(x: Any, at: dict[int, int], inside: dict[int, Step], values: dict[int, Any]) -> Any:
+    """A value at an index of each of some axes, without those; an axis of length 1 stands for one of any length."""
+    value = _value(x, values)
+    if np.ndim(value) == 0 or not at:
+        return value
+    step = None if isinstance(x, Value) else inside.get(x)
+    if step is not None and step.primitive.name in ELEMENTWISE:
+        return step.primitive.bind(*(_part(y, at, inside, values) for y in step.inputs), **step.params)
+    shape = [length for axis, length in enumerate(value.shape) if axis not in at]
+    if step is not None and step.primitive.name == "broadcast_in_dim" and len(step.inputs) == 1:
+        axes = step.params["broadcast_dimensions"]
+        part = _part(step.inputs[0], {axes.index(axis): k for axis, k in at.items() if axis in axes}, inside, values)
+        left = [axis - sum(gone < axis for gone in at) for axis in axes if axis not in at]
+        return lax.broadcast_in_dim(part, shape, left)
+    start = [min(at.get(axis, 0), length - 1) for axis, length in enumerate(value.shape)]
+    stop = [k + 1 if axis in at else length for axis, (k, length) in enumerate(zip(start, value.shape, strict=True))]
+    return lax.reshape(lax.slice(value, start, stop), shape)
+
+
+def _value(x: Any, values: dict[int, Any]) -> Any:
+    return x.value if isinstance(x, Value) else values[x]

@@ -30,6 +30,7 @@ FUSED = {"add", "add_any", "sub", "mul", "neg", "sign", "abs", "floor", "ceil", 
 FUSED |= {"integer_pow", "select_n", "eq", "ne", "lt", "le", "gt", "ge", "and", "or", "xor", "not", "is_finite"}
 FUSED |= {"shift_left", "shift_right_logical", "shift_right_arithmetic", "reduce_precision", "nextafter"}
 FUSED |= COST.keys() | FREE | SUMS.keys()
+ELEMENTWISE = FUSED - FREE - SUMS.keys() | {"convert_element_type", "bitcast_convert_type", "copy", "stop_gradient"}
 INNER = {"scan", "shard_map"}  # what has a program of its own inside
 
 
@@ -105,5 +106,5 @@ class Flat:
 
 
 def _leading(axes: Sequence[int], shape: Sequence[int]) -> bool:
-    """True for a short sum that leaves the last axis alone."""
-    return len(shape) - 1 not in axes and 0 < math.prod(shape[axis] for axis in axes) <= UNROLLED
+    """True for a short sum that leaves the last axis alone, over one axis at least."""
+    return bool(axes) and len(shape) - 1 not in axes and 0 < math.prod(shape[axis] for axis in axes) <= UNROLLED
