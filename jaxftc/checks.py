@@ -30,6 +30,22 @@ def integer(name: str, value: object, low: int, why: str) -> None:
         raise ValueError(f"{name} must be an integer of at least {low}, got {value!r}; {why}")
 
 
+def instance(name: str, value: object, kind: type) -> None:
+    """Refuse what is of another kind: arguments swapped, most of the time."""
+    if not isinstance(value, kind):
+        raise ValueError(f"{name} must be a {kind.__name__}, got a {type(value).__name__}; arguments in another order?")
+
+
+def random_key(name: str, value: object) -> None:
+    """Refuse what is no random key of JAX, old or new."""
+    import jax
+
+    dtype = getattr(value, "dtype", None)
+    new = dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key) and getattr(value, "shape", None) == ()
+    if not (new or (dtype == "uint32" and getattr(value, "ndim", 0) == 1)):
+        raise ValueError(f"{name} must be one random key, such as jax.random.key(0), got {value!r}")
+
+
 def positive(name: str, value: float, unit: str) -> None:
     """Refuse a number that is not finite and above zero."""
     if not (isinstance(value, numbers.Real) and math.isfinite(value) and value > 0):

@@ -14,7 +14,7 @@ import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer
 
-from jaxftc import noise, reference, schemes
+from jaxftc import checks, noise, reference, schemes
 from jaxftc.arm import chain, plant
 from jaxftc.compile import jit
 from jaxftc.config import Config
@@ -59,6 +59,7 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
         ValueError: gains or scenario are of a wrong shape, not finite or outside their limits.
     """
     check(config, gains, scenario)
+    checks.random_key("key", key)
     return _simulate(config, gains, scenario, key)
 
 
@@ -68,6 +69,9 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
     Raises:
         ValueError: naming the leaf, what came and what is allowed.
     """
+    checks.instance("config", config, Config)
+    checks.instance("gains", gains, Gains)
+    checks.instance("scenario", scenario, Scenario)
     check_gains(config, gains)
     scenario = jax.tree.map(jnp.asarray, scenario)
     axes = scenario.id.shape

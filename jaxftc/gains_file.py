@@ -45,7 +45,13 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     ours = header(config)
     other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
     if other:
-        raise ValueError(f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with")
+        built_in = all(str(robot).startswith("puma560") for robot in (made_with.get("robot"), ours["robot"]))
+        hint = (
+            ": --coulomb or puma560(coulomb=True) is the arm with dry friction" if built_in and "robot" in other[0] else ""
+        )
+        raise ValueError(
+            f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with{hint}"
+        )
     known = {(block, name): spec for block, name, spec in specs()}
     values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
     for block, entries in table.items():

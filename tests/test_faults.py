@@ -1,5 +1,7 @@
 """Faults as data: every kind does what its comment says, laws in time, and batches that depend on ids alone."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -147,6 +149,27 @@ def test_refusals(config):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
     with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
         jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"key": 0}, "key must be one random key, such as jax.random.key(0), got 0"),
+        ({"key": jax.random.split(jax.random.key(0))}, "key must be one random key"),
+        ({"config": None}, "config must be a Config, got a NoneType; arguments in another order?"),
+        ({"gains": None}, "gains must be a Gains, got a NoneType; arguments in another order?"),
+        ({"scenario": None}, "scenario must be a Scenario, got a NoneType; arguments in another order?"),
+    ],
+)
+def test_what_is_no_argument_of_a_run_is_refused(config, change, words):
+    arguments = {"config": config, "gains": jaxftc.default_gains(config), "scenario": paper_scenario("both", config)}
+    with pytest.raises(ValueError, match=re.escape(words)):
+        jaxftc.simulate(*(arguments | {"key": jax.random.key(0)} | change).values())
+
+
+def test_a_campaign_of_one_scenario_without_an_axis_is_refused(config):
+    with pytest.raises(ValueError, match="scenarios must have one leading axis, as sample_scenarios gives them"):
+        jaxftc.campaign(config, jaxftc.default_gains(config), paper_scenario("both", config), jax.random.key(0))
 
 
 def test_no_fault_is_healthy():

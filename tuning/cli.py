@@ -59,7 +59,7 @@ class Tune(common.Options):
     held_out: int = 512
     """Scenarios of each preset, standard and hard, on which the gains are compared in the end."""
     held_out_seed: int | None = None
-    """Seed of those scenarios; if not given a fresh one, which result.json keeps."""
+    """Seed of those scenarios, whatever ``--seed`` is; if not given a fresh one, which result.json keeps."""
 
     def run(self) -> None:
         """Tune, compare, write."""
@@ -131,7 +131,7 @@ class Bar:
 
         self.ticks = config.ticks
         self.last: Progress | None = None
-        self.bar: tqdm[Any] = tqdm(desc="compiling, half a minute", unit="step", leave=False)
+        self.bar: tqdm[Any] = tqdm(desc="compiling, a minute or so the first time", unit="step", leave=False)
 
     def __enter__(self) -> Bar:
         return self

@@ -156,9 +156,9 @@ def allowed(runs: int, false_alarms: float, confidence: float) -> int:
     Raises:
         ValueError: a share outside (0, 1), or so few runs that none of them may.
     """
-    for name, value in (("false_alarms", false_alarms), ("confidence", confidence)):
+    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
         if not 0 < value < 1:
-            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; 0.01 and 0.95 are usual")
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
     count = tolerated(runs, false_alarms, confidence)
     if count < 0:
         least = math.ceil(math.log(1 - confidence) / math.log(1 - false_alarms))

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxftc import checks
 from jaxftc.closed_loop import Trace, check, watch
 from jaxftc.compile import jit
 from jaxftc.config import Config
@@ -50,7 +51,13 @@ def scores(
     config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
 ) -> score.Score:
     """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
+    if isinstance(scenarios, Scenario) and np.ndim(scenarios.id) != 1:
+        raise ValueError(
+            "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
+            f"{list(np.shape(scenarios.id))}; jaxftc.simulate takes a single one"
+        )
     check(config, gains, trail(scenarios))
+    checks.random_key("key", key)
     count, width, program = len(scenarios.id), _width(), _program(config)
 
     def block(first: int) -> score.Score:
