@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, get_args
 
-Section = Literal["forward", "mjx", "gradient", "tick", "campaign", "starts", "dynamics", "scaling"]
-SECTIONS: tuple[Section, ...] = get_args(Section)  # the last three have tables only
+Section = Literal["forward", "mjx", "gradient", "tick", "campaign", "kernels", "starts", "dynamics", "scaling"]
+SECTIONS: tuple[Section, ...] = get_args(Section)  # the last four have tables only
 
 
 class Metric(NamedTuple):

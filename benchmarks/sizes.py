@@ -18,6 +18,7 @@ class Sizes:
     loop_mjx: int = 256
     mjx_default: tuple[tuple[int, int], ...] = ((64, 20), (256, 20))  # (arms, steps) tried
     gradient: int = 512  # scenarios
+    kernels: int = 512  # scenarios of the gradient whose kernels are counted
     memory: int = 1024  # scenarios of the gradient whose memory counts
     ticks: int = 20_000
     campaign: int = 10_000
@@ -39,6 +40,7 @@ QUICK = Sizes(
     loop_mjx=128,
     mjx_default=((8, 5),),
     gradient=8,
+    kernels=64,
     memory=8,
     ticks=500,
     campaign=1024,

@@ -20,9 +20,11 @@ from jaxftc import closed_loop
 from jaxftc.config import Config
 from jaxftc.faults.scenario import paper_scenario, take, trail
 from jaxftc.gains import Gains
+from jaxftc.monte_carlo import run as campaign_run
 from jaxftc.monte_carlo.score import Score
 from tuning.settings import ROUND
 
+KERNELS_TICKS = 20  # of programs whose text is counted
 COMPARED = 8  # scenarios of the closed loop that are run again by ``simulate``
 
 
@@ -195,12 +197,23 @@ def dynamics(setup: Setup, results: Results) -> None:
     results.tables["dynamics"] = Table("Forward dynamics", ("library", "arms/s", "how"), rows + absent)
 
 
+def kernels(setup: Setup, results: Results) -> None:
+    """What the compiled programs do in a tick, as far as XLA's text tells."""
+    rows, duration = [], KERNELS_TICKS * setup.config().dt
+    for what, batch in (("loop", campaign_run.width()), ("gradient", setup.sizes.kernels)):
+        with Worker(setup.task(what, batch=batch, duration=duration), setup.folder / "kernels") as worker:
+            rows += [(what, *turn) for turn in worker.kernels()]
+    columns = ("program", "where", "kernels a turn", "operations", "numbers read", "numbers written")
+    results.tables["kernels"] = Table("What a turn of each loop does, per scenario", columns, rows)
+
+
 SECTIONS: dict[Section, Callable[[Setup, Results], None]] = {
     "forward": forward,
     "mjx": mjx,
     "gradient": gradient,
     "tick": tick,
     "campaign": campaigns.campaign,
+    "kernels": kernels,
     "starts": campaigns.starts,
     "dynamics": dynamics,
     "scaling": scaling.scaling,

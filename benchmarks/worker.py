@@ -68,6 +68,10 @@ class Worker:
         """Bytes that the largest program of the process sets aside."""
         return self._ask("memory")["bytes"]
 
+    def kernels(self) -> list[list[Any]]:
+        """What the largest program of the process does in each turn of its loops, see ``kernels.Turn``."""
+        return self._ask("kernels")["turns"]
+
     def _ask(self, word: str) -> dict[str, Any]:
         _pipe(self._child.stdin).write(word + "\n")
         _pipe(self._child.stdin).flush()

@@ -125,10 +125,14 @@ def gradient(config: Config, gains: Gains, batch: int) -> Callable[[], tuple[Sta
     return lambda: descent.round(start, widen, scenarios, before)
 
 
-def largest_program() -> int:
-    """Bytes that a program of this process sets aside beside arguments and results, over all devices; of the largest one."""
-    programs = jax.local_devices()[0].client.live_executables()
-    return max(p.get_compiled_memory_stats().temp_size_in_bytes * len(p.local_devices()) for p in programs)
+def set_aside(program: Any) -> int:
+    """Bytes that a program sets aside beside arguments and results, over all devices."""
+    return program.get_compiled_memory_stats().temp_size_in_bytes * len(program.local_devices())
+
+
+def largest_program() -> Any:
+    """The program of this process that sets the most memory aside."""
+    return max(jax.local_devices()[0].client.live_executables(), key=set_aside)
 
 
 class Ticks(NamedTuple):

@@ -14,7 +14,21 @@ import numpy as np
 import pytest
 
 import jaxftc
-from benchmarks import arms, baseline, chart, clock, curves, metrics, ranking, results, sizes, speed, speed_page, workloads
+from benchmarks import (
+    arms,
+    baseline,
+    chart,
+    clock,
+    curves,
+    kernels,
+    metrics,
+    ranking,
+    results,
+    sizes,
+    speed,
+    speed_page,
+    workloads,
+)
 from benchmarks import report as bench_report
 from benchmarks.cli import ranking_text, tuning_text
 from benchmarks.curves import Curve
@@ -27,6 +41,56 @@ from jaxftc.cli.main import main
 from jaxftc.closed_loop import encoder_noise
 from tuning import Progress, Settings
 from tuning.settings import GRADIENT_COST, METHODS
+
+LOOP = """
+HloModule one
+
+%fused (param_0: f32[2,8], param_1: f32[5,8], param_2: s32[]) -> (f32[8], f32[5,8]) {
+  %param_0 = f32[2,8]{1,0} parameter(0)
+  %slice.1 = f32[1,8]{1,0} slice(%param_0), slice={[0:1], [0:8]}
+  %bitcast.1 = f32[8]{0} bitcast(%slice.1)
+  %exp.1 = f32[8]{0} exponential(%bitcast.1)
+  %bitcast.2 = f32[1,8]{1,0} bitcast(%exp.1)
+  %param_1 = f32[5,8]{1,0} parameter(1)
+  %param_2 = s32[] parameter(2)
+  %constant.1 = s32[] constant(0)
+  %dynamic-update-slice.1 = f32[5,8]{1,0} dynamic-update-slice(%param_1, %bitcast.2, %param_2, %constant.1)
+  ROOT %tuple.1 = (f32[8]{0}, /*index=1*/f32[5,8]{1,0}) tuple(%exp.1, %dynamic-update-slice.1)
+}
+
+%body (arg: (s32[], f32[2,8], f32[5,8])) -> (s32[], f32[2,8], f32[5,8]) {
+  %arg = (s32[], f32[2,8]{1,0}, f32[5,8]{1,0}) parameter(0)
+  %k = s32[] get-tuple-element(%arg), index=0
+  %x = f32[2,8]{1,0} get-tuple-element(%arg), index=1
+  %stack = f32[5,8]{1,0} get-tuple-element(%arg), index=2
+  %fusion.1 = (f32[8]{0}, f32[5,8]{1,0}) fusion(%x, %stack, %k), kind=kLoop, calls=%fused
+  %copy.1 = f32[2,8]{1,0} copy(%x)
+  ROOT %tuple.2 = (s32[], f32[2,8]{1,0}, f32[5,8]{1,0}) tuple(%k, %copy.1, %stack)
+}
+
+ENTRY %main (x: f32[2,8]) -> f32[2,8] {
+  %x.1 = f32[2,8]{1,0} parameter(0)
+  %negate.1 = f32[2,8]{1,0} negate(%x.1)
+  %while.1 = (s32[], f32[2,8]{1,0}, f32[5,8]{1,0}) while(%negate.1), condition=%less, body=%body
+  ROOT %out = f32[2,8]{1,0} get-tuple-element(%while.1), index=1
+}
+"""
+
+
+def test_kernels_operations_and_numbers_moved_are_counted(monkeypatch):
+    """Of an array that a part is taken of, the part; of a stack that a row is written to, the row."""
+    monkeypatch.setattr(kernels, "FEW", 0)
+    assert kernels.count(LOOP, scenarios=8) == [
+        kernels.Turn("loop 1", 2, operations=8, read=1 + 1 / 8 + 2, written=2 + 2),
+        kernels.Turn("around", 1, operations=2, read=2, written=2),
+    ]
+
+
+def test_kernels_of_what_xla_compiles_are_found(monkeypatch):
+    monkeypatch.setattr(kernels, "FEW", 0)
+    compiled = jax.jit(lambda x: jax.lax.scan(lambda c, _: (jax.numpy.sin(c) @ x, None), x, length=9)[0]).lower(np.eye(4))
+    first, *_ = kernels.count(compiled.compile().as_text(), scenarios=1)
+    assert first.loop == "loop 1" and first.kernels >= 2 and first.operations >= 16 * 20
 
 
 def curve(method, seed, objective):
@@ -338,5 +402,5 @@ def test_a_quick_run_measures_everything(tmp_path):
     measured = {row["key"]: row["value"] for row in result["metrics"]}
     assert measured.keys() >= PROMISED and all(np.isfinite(value) and value > 0 for value in measured.values())
     assert result["machine"]["cores"] and len(result["checks"]) > 10
-    assert {"starts", "dynamics", "batch", "horizon", "cores", "joints"} <= result["tables"].keys()
+    assert {"kernels", "starts", "dynamics", "batch", "horizon", "cores", "joints"} <= result["tables"].keys()
     assert "svg" in (tmp_path / "runs" / "bench-speed-1" / "report.html").read_text()

@@ -58,18 +58,18 @@ def scores(
         )
     check(config, gains, trail(scenarios))
     checks.random_key("key", key)
-    count, width, program = len(scenarios.id), _width(), _program(config)
+    count, wide, program = len(scenarios.id), width(), _program(config)
 
     def block(first: int) -> score.Score:
-        piece = take(scenarios, np.arange(first, first + width) % count)
+        piece = take(scenarios, np.arange(first, first + wide) % count)
         return jax.tree.map(np.asarray, program(key, gains, piece)[0])
 
-    pieces, starts = [], range(0, count, width)
+    pieces, starts = [], range(0, count, wide)
     pool = ThreadPoolExecutor(_at_a_time())
     try:
         for first, piece in zip(starts, pool.map(block, starts), strict=True):
             pieces.append(piece)
-            done(min(width, count - first))
+            done(min(wide, count - first))
     finally:
         pool.shutdown(cancel_futures=True)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :count], *pieces)
@@ -77,16 +77,16 @@ def scores(
 
 def draw(preset: Preset, config: Config, key: Array, ids: np.ndarray) -> Scenario:
     """Scenarios of any ids, leading axis, as NumPy arrays; each depends on the key and its id alone, to the last bit."""
-    width, pieces = _width(), []
-    for first in range(0, len(ids), width):
-        some = ids[np.arange(first, first + width) % len(ids)]
+    wide, pieces = width(), []
+    for first in range(0, len(ids), wide):
+        some = ids[np.arange(first, first + wide) % len(ids)]
         pieces.append(jax.tree.map(np.asarray, draw_all(preset, config, key, jnp.asarray(some))))
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(ids)], *pieces)
 
 
 def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tuple[dict[str, np.ndarray], Trace]:
     """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
-    copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], _width(), axis=0), scenario)
+    copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], width(), axis=0), scenario)
     check(config, gains, trail(copies))
     result, trace = _program(config)(key, gains, copies)
     row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
@@ -124,7 +124,8 @@ def _program(config: Config) -> Any:
     return _Program(config)
 
 
-def _width() -> int:
+def width() -> int:
+    """Scenarios side by side in one program of a campaign."""
     return LANES.get(jax.default_backend(), MANY_LANES)
 
 
