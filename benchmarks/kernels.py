@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 FEW = 8  # kernels of a loop that is not worth a row
@@ -40,7 +40,11 @@ class Instruction(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """One turn of a loop; numbers and operations are of one scenario, the same arithmetic within one kernel once."""
+    """One turn of a loop; numbers and operations are of one scenario.
+
+    What XLA's text has twice in a kernel counts twice, though LLVM does it once; sums and products of matrices count as
+    many operations as they have results.
+    """
 
     loop: str
     kernels: int
@@ -77,7 +81,7 @@ def _sizes(shape: str) -> tuple[int, ...]:
     return tuple(math.prod(int(length) for length in lengths.split(",") if length) for lengths in _ARRAY.findall(shape))
 
 
-def _turn(loop: str, lines: Iterable[Instruction], computations: dict[str, list[Instruction]], scenarios: int) -> Turn:
+def _turn(loop: str, lines: Sequence[Instruction], computations: dict[str, list[Instruction]], scenarios: int) -> Turn:
     kernels, totals = 0, [0, 0, 0]
     sizes = {x.name: sum(x.sizes) for x in lines}
     for line in lines:

@@ -39,10 +39,12 @@ def instance(name: str, value: object, kind: type) -> None:
 def random_key(name: str, value: object) -> None:
     """Refuse what is no random key of JAX, old or new."""
     import jax
+    import jax.numpy as jnp
+    import numpy as np
 
-    dtype = getattr(value, "dtype", None)
-    new = dtype is not None and jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key) and getattr(value, "shape", None) == ()
-    if not (new or (dtype == "uint32" and getattr(value, "ndim", 0) == 1)):
+    array = isinstance(value, jax.Array | np.ndarray)
+    new = array and jnp.issubdtype(value.dtype, jax.dtypes.prng_key) and value.shape == ()
+    if not new and not (array and value.dtype == np.uint32 and value.shape in ((2,), (4,))):
         raise ValueError(f"{name} must be one random key, such as jax.random.key(0), got {value!r}")
 
 

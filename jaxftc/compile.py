@@ -32,9 +32,8 @@ _PLANNED = {
 }
 
 
-_ALONE = (
-    ",cpu-parallel-task-assigner"  # the pass that hands parts of large loops to other cores, which then wait for each other
-)
+# The pass that hands parts of large loops to other cores, and then waits for them.
+_ALONE = "cpu-parallel-task-assigner"
 
 
 @functools.cache
@@ -45,7 +44,7 @@ def compiler_options(*, small: bool = False, alone: bool = False) -> dict[str, A
     """
     options = dict(_WHOLE if small else _PLANNED)
     if alone:
-        options["xla_disable_hlo_passes"] += _ALONE
+        options["xla_disable_hlo_passes"] += f",{_ALONE}"
     if jax.default_backend() != "cpu":
         return {}
     try:
@@ -55,11 +54,11 @@ def compiler_options(*, small: bool = False, alone: bool = False) -> dict[str, A
     return options
 
 
-def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) -> Any:
+def jit(fun: Callable[..., Any], *, origin: str | None = None, alone: bool = False, **kwargs: Any) -> Any:
     """``jax.jit`` as said above; what is needed is made at the first call, so that importing starts no backend.
 
-    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``) and are
-    made to run one a core; all arguments are arrays then, given by position, and there are no ``kwargs``.
+    With an ``origin``, a text that tells what ``fun`` closes over, its programs outlive the process (``kept.py``); all
+    arguments are arrays then, given by position, and there are no ``kwargs``. ``alone`` is for programs that run one a core.
 
     Plan and options belong to the outermost ``jit``: under a trace of the caller's, ``fun`` becomes part of it. That holds
     for ``jax.grad`` and ``jax.vmap`` called from Python too, where it compiles without them: wrap those in this ``jit``.
@@ -68,8 +67,8 @@ def jit(fun: Callable[..., Any], *, origin: str | None = None, **kwargs: Any) ->
 
     @functools.cache
     def by_size(small: bool) -> Any:
-        jitted = _jitted(fun, small, origin is not None, **kwargs)
-        name = repr((fun.__module__, fun.__qualname__, small, origin))
+        jitted = _jitted(fun, small, alone, **kwargs)
+        name = repr((fun.__module__, fun.__qualname__, small, alone, origin))
         return jitted if origin is None else across_processes(jitted, name)
 
     @functools.wraps(fun)

@@ -45,10 +45,9 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     ours = header(config)
     other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
     if other:
-        built_in = all(str(robot).startswith("puma560") for robot in (made_with.get("robot"), ours["robot"]))
-        hint = (
-            ": --coulomb or puma560(coulomb=True) is the arm with dry friction" if built_in and "robot" in other[0] else ""
-        )
+        arms = {str(made_with.get("robot")), ours["robot"]}
+        friction = len(arms) == 2 and all(arm.startswith("puma560") for arm in arms)
+        hint = ": --coulomb or puma560(coulomb=True) is the arm with dry friction" if friction else ""
         raise ValueError(
             f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with{hint}"
         )

@@ -18,16 +18,20 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def devices_for(count: int) -> int:
+    """Devices that a number of scenarios is spread over: the largest number of them that divides it."""
+    return next(d for d in range(min(len(jax.local_devices()), count), 0, -1) if count % d == 0)
+
+
 def over_scenarios(fun: Callable[[Any, Any], Any], count: int) -> Callable[[Any, Any], Any]:
     """``fun(shared, split)`` with the last axis of every leaf of ``split``, and of the result, spread over the devices.
 
-    Uses the largest number of devices that divides ``count``, the number of scenarios. Differentiable in ``split``.
+    ``count`` is the number of scenarios, see ``devices_for``. Differentiable in ``split``.
     """
-    devices = jax.local_devices()
-    use = next(d for d in range(min(len(devices), count), 0, -1) if count % d == 0)
+    use = devices_for(count)
     if use == 1:
         return fun
-    mesh = Mesh(np.asarray(devices[:use]), (AXIS,))
+    mesh = Mesh(np.asarray(jax.local_devices()[:use]), (AXIS,))
 
     def last_axis(leaf: Any) -> PartitionSpec:
         return PartitionSpec(*[None] * (leaf.ndim - 1), AXIS)

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxftc
+from jaxftc import checks
 from jaxftc.closed_loop import encoder_noise
 from jaxftc.faults import inject, profiles
 from jaxftc.faults.kinds import Actuator, Fault, Sensor, no_fault
@@ -167,9 +168,27 @@ def test_what_is_no_argument_of_a_run_is_refused(config, change, words):
         jaxftc.simulate(*(arguments | {"key": jax.random.key(0)} | change).values())
 
 
-def test_a_campaign_of_one_scenario_without_an_axis_is_refused(config):
-    with pytest.raises(ValueError, match="scenarios must have one leading axis, as sample_scenarios gives them"):
-        jaxftc.campaign(config, jaxftc.default_gains(config), paper_scenario("both", config), jax.random.key(0))
+@pytest.mark.parametrize(
+    ("scenarios", "key", "words"),
+    [
+        ("one", jax.random.key(0), "scenarios must have one leading axis, as sample_scenarios gives them"),
+        ("list", jax.random.key(0), "scenarios must be a Scenario, got a list; arguments in another order?"),
+        ("many", 0, "key must be one random key, such as jax.random.key(0), got 0"),
+    ],
+)
+def test_what_is_no_argument_of_a_campaign_is_refused(config, scenarios, key, words):
+    one = paper_scenario("both", config)
+    with pytest.raises(ValueError, match=re.escape(words)):
+        given = {"one": one, "list": [one], "many": stack([one, one])}[scenarios]
+        jaxftc.campaign(config, jaxftc.default_gains(config), given, key)
+
+
+@pytest.mark.parametrize("key", [jax.random.key(0), jax.random.key(0, impl="rbg"), jax.random.PRNGKey(0)])
+def test_keys_of_every_kind_pass(key):
+    checks.random_key("key", key)
+    checks.random_key("key", np.asarray(jax.random.PRNGKey(0)))
+    jax.jit(lambda key: checks.random_key("key", key))(key)
+    jax.vmap(lambda key: checks.random_key("key", key))(jax.random.split(key))
 
 
 def test_no_fault_is_healthy():

@@ -123,6 +123,15 @@ def test_the_terms_of_a_sum_are_computed_one_by_one(fun):
     np.testing.assert_allclose(jax.jit(planned(fun))(x, y), fun(x, y), rtol=1e-12)
 
 
+def test_a_value_used_many_times_in_a_term_is_computed_once():
+    def fun(x):
+        for _ in range(12):
+            x = x * x - 0.5 * x
+        return x.sum(0)
+
+    assert len(jax.make_jaxpr(planned(fun))(jnp.ones((2, LANES))).eqns) < 200
+
+
 def test_what_a_loop_is_given_a_tick_is_stored_where_it_is_taken_apart():
     x = jnp.linspace(1, 2, 4 * 2 * LANES).reshape(4, 2, LANES)
 

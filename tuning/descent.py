@@ -65,7 +65,9 @@ class Descent:
 
         self._key = problem.key
         origin = None if problem.origin is None else f"{problem.origin} {space.origin} {mode} {optimizer} {rate} {steps}"
-        self._round = jit(lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs), origin=origin)
+        self._round = jit(
+            lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs), origin=origin, alone=problem.alone
+        )
 
     def init(self, theta: np.ndarray, step: int = 0, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""

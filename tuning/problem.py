@@ -18,7 +18,7 @@ from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
-from jaxftc.parallel import over_scenarios
+from jaxftc.parallel import devices_for, over_scenarios
 from jaxftc.types import Array
 from tuning import terms as built_in
 from tuning.terms import Run, Term
@@ -42,9 +42,9 @@ class Problem:
         self.names = tuple(self.objective)
         self.weights = np.array([term.weight for term in self.objective.values()], float)
         self.origin = _origin(config, self.objective, batch)
-        self._scores = jit(
-            over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch), origin=self.origin
-        )
+        self.alone = devices_for(batch) > 1  # each device has a core to itself then
+        scores = over_scenarios(lambda shared, split: self.terms(shared[0], shared[1], split), batch)
+        self._scores = jit(scores, origin=self.origin, alone=self.alone)
 
     def scores(self, gains: Gains, scenarios: Scenario) -> np.ndarray:
         """Terms [terms, scenarios] of one set of gains, in pieces of ``batch`` scenarios; the last piece is filled up."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import collections
 import functools
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -31,6 +32,7 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
     for loop in program.loops:
         own: dict[int, Any] = {}
         inside = {x: program.steps[k] for k in loop if k not in program.fenced for x in program.steps[k].outputs}
+        parts = _Parts(inside, collections.ChainMap(own, values))
         for k in loop:
             step = program.steps[k]
             given = [x.value if isinstance(x, Value) else own[x] if x in own else values[x] for x in step.inputs]
@@ -38,7 +40,7 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
                 results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
                 left |= {k: filled} if filled else {}
             elif step.primitive.name in SUMS and not step.stored:
-                results = [functools.reduce(SUMS[step.primitive.name], _terms(step, inside, values | own))]
+                results = [functools.reduce(SUMS[step.primitive.name], parts.terms(step))]
             else:
                 results = step.primitive.bind(*given, **step.params)
                 results = list(results) if step.primitive.multiple_results else [results]
@@ -107,38 +109,48 @@ def stack_shapes(program: Program) -> dict[int, list[tuple[tuple[int, ...], Any]
     return found
 
 
-def _terms(step: Step, inside: dict[int, Step], values: dict[int, Any]) -> list[Any]:
-    """What a sum over leading axes adds up; each term of what is computed in the same loop (``inside``) on its own.
+class _Parts:
+    """Parts of values along some axes: of what is computed in the same loop (``inside``), each computed on its own, once.
 
     XLA makes a function of a value that is computed and then taken apart, and where a loop has several results, such
     functions keep it from being vectorised.
     """
-    (x,), axes = step.inputs, sorted(step.params["axes"], reverse=True)
-    shape = _value(x, values).shape
-    return [
-        _part(x, dict(zip(axes, index, strict=True)), inside, values)
-        for index in itertools.product(*(range(shape[axis]) for axis in axes))
-    ]
+
+    def __init__(self, inside: Mapping[int, Step], values: Mapping[int, Any]) -> None:
+        self._inside, self._values, self._found = inside, values, {}
+
+    def terms(self, step: Step) -> list[Any]:
+        """What a sum over leading axes adds up."""
+        (x,), axes = step.inputs, sorted(step.params["axes"], reverse=True)
+        shape = _value(x, self._values).shape
+        every = itertools.product(*(range(shape[axis]) for axis in axes))
+        return [self.part(x, dict(zip(axes, index, strict=True))) for index in every]
+
+    def part(self, x: Any, at: dict[int, int]) -> Any:
+        """A value at an index of each of some axes, without those; an axis of length 1 stands for one of any length."""
+        if isinstance(x, Value):
+            return self._part(x, at, None)
+        key = x, *sorted(at.items())
+        if key not in self._found:
+            self._found[key] = self._part(x, at, self._inside.get(x))
+        return self._found[key]
+
+    def _part(self, x: Any, at: dict[int, int], step: Step | None) -> Any:
+        value = _value(x, self._values)
+        if np.ndim(value) == 0 or not at:
+            return value
+        if step is not None and step.primitive.name in ELEMENTWISE:
+            return step.primitive.bind(*(self.part(y, at) for y in step.inputs), **step.params)
+        shape = [length for axis, length in enumerate(value.shape) if axis not in at]
+        if step is not None and step.primitive.name == "broadcast_in_dim" and len(step.inputs) == 1:
+            axes = step.params["broadcast_dimensions"]
+            inner = self.part(step.inputs[0], {axes.index(axis): k for axis, k in at.items() if axis in axes})
+            left = [axis - sum(gone < axis for gone in at) for axis in axes if axis not in at]
+            return lax.broadcast_in_dim(inner, shape, left)
+        start = [min(at.get(axis, 0), length - 1) for axis, length in enumerate(value.shape)]
+        stop = [k + 1 if axis in at else length for axis, (k, length) in enumerate(zip(start, value.shape, strict=True))]
+        return lax.reshape(lax.slice(value, start, stop), shape)
 
 
-def _part(x: Any, at: dict[int, int], inside: dict[int, Step], values: dict[int, Any]) -> Any:
-    """A value at an index of each of some axes, without those; an axis of length 1 stands for one of any length."""
-    value = _value(x, values)
-    if np.ndim(value) == 0 or not at:
-        return value
-    step = None if isinstance(x, Value) else inside.get(x)
-    if step is not None and step.primitive.name in ELEMENTWISE:
-        return step.primitive.bind(*(_part(y, at, inside, values) for y in step.inputs), **step.params)
-    shape = [length for axis, length in enumerate(value.shape) if axis not in at]
-    if step is not None and step.primitive.name == "broadcast_in_dim" and len(step.inputs) == 1:
-        axes = step.params["broadcast_dimensions"]
-        part = _part(step.inputs[0], {axes.index(axis): k for axis, k in at.items() if axis in axes}, inside, values)
-        left = [axis - sum(gone < axis for gone in at) for axis in axes if axis not in at]
-        return lax.broadcast_in_dim(part, shape, left)
-    start = [min(at.get(axis, 0), length - 1) for axis, length in enumerate(value.shape)]
-    stop = [k + 1 if axis in at else length for axis, (k, length) in enumerate(zip(start, value.shape, strict=True))]
-    return lax.reshape(lax.slice(value, start, stop), shape)
-
-
-def _value(x: Any, values: dict[int, Any]) -> Any:
+def _value(x: Any, values: Mapping[int, Any]) -> Any:
     return x.value if isinstance(x, Value) else values[x]

@@ -51,7 +51,8 @@ def scores(
     config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
 ) -> score.Score:
     """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
-    if isinstance(scenarios, Scenario) and np.ndim(scenarios.id) != 1:
+    checks.instance("scenarios", scenarios, Scenario)
+    if np.ndim(scenarios.id) != 1:
         raise ValueError(
             "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
             f"{list(np.shape(scenarios.id))}; jaxftc.simulate takes a single one"
@@ -108,7 +109,7 @@ class _Program:
             last, trace = watch(config, gains, scenarios, key, blank, look)
             return last.score, trace
 
-        self._run, self._lock, self._compiled = jit(block, origin=repr(config)), threading.Lock(), False
+        self._run, self._lock, self._compiled = jit(block, origin=repr(config), alone=True), threading.Lock(), False
 
     def __call__(self, key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
         if self._compiled:
