@@ -149,7 +149,7 @@ class Plain:
 class Constant:
     """A problem whose slope is 1 everywhere."""
 
-    key, origin = jax.random.key(0), None
+    key, origin, alone = jax.random.key(0), None, False
 
     def slope(self, space, mode):
         return lambda key, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))
