@@ -30,8 +30,6 @@ _PLANNED = {
     "xla_disable_hlo_passes": "cse,cse_barrier_expander,small-while-loop-hoisting",
     "xla_cpu_prefer_vector_width": 512,  # bits, where the processor has them; XLA stops at 256
 }
-
-
 # The pass that hands parts of large loops to other cores, and then waits for them.
 _ALONE = "cpu-parallel-task-assigner"
 

@@ -32,10 +32,11 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
     for loop in program.loops:
         own: dict[int, Any] = {}
         inside = {x: program.steps[k] for k in loop if k not in program.fenced for x in program.steps[k].outputs}
-        parts = _Parts(inside, collections.ChainMap(own, values))
+        known = collections.ChainMap(own, values)
+        parts = _Parts(inside, known)
         for k in loop:
             step = program.steps[k]
-            given = [x.value if isinstance(x, Value) else own[x] if x in own else values[x] for x in step.inputs]
+            given = [_value(x, known) for x in step.inputs]
             if k in program.bodies:
                 results, filled = _BODIES[step.primitive.name](step.params, program.bodies[k], given, stacks.get(k, []))
                 left |= {k: filled} if filled else {}
@@ -46,7 +47,7 @@ def _run(program: Program, args: Sequence[Any], stacks: dict[int, list[Any]]) ->
                 results = list(results) if step.primitive.multiple_results else [results]
             own |= zip(step.outputs, map(lax.optimization_barrier, results) if k in program.fenced else results, strict=True)
         values |= {x: own[x] for x in program.steps[loop[-1]].outputs}
-    return [x.value if isinstance(x, Value) else values[x] for x in program.outputs], left
+    return [_value(x, values) for x in program.outputs], left
 
 
 def _scan(params: dict[str, Any], inner: Program, inputs: list[Any], stacks: list[Any]) -> tuple[list[Any], list[Any]]:
