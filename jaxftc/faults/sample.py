@@ -41,9 +41,11 @@ def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard
     draws nothing.
 
     Raises:
-        ValueError: an unknown preset, a preset file that is not right, n below 1, or a preset that does not fit the arm.
+        ValueError: an unknown preset, a preset file that is not right, n below 1, a key that is none, or a preset that does
+            not fit the arm.
     """
     laws = load_preset(preset)
+    checks.random_key("key", key)
     checks.integer("n", n, 1, "it is the number of scenarios")
     check_arm(laws, config, "the preset" if isinstance(preset, Preset) else f"preset {str(preset)!r}")
     return _draw_all(laws, config, key, jnp.arange(n, dtype=jnp.int32))
