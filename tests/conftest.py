@@ -1,4 +1,4 @@
-"""JAX strict, a persistent compilation cache, and hypothesis without chance."""
+"""JAX in double precision, a persistent compilation cache, and hypothesis without chance."""
 
 import hypothesis
 import jax
@@ -7,7 +7,6 @@ import pytest
 import jaxftc
 
 jax.config.update("jax_enable_x64", True)  # float32 tests say so with jax.enable_x64(False)
-jax.config.update("jax_debug_key_reuse", True)
 
 hypothesis.settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, max_examples=50)
 hypothesis.settings.load_profile("deterministic")

@@ -18,6 +18,7 @@ from jaxftc.arm import chain, plant
 from jaxftc.arm.puma560 import TORQUE_LIMIT
 from jaxftc.arm.robot import PAYLOAD, compile_robot
 from jaxftc.faults.scenario import CONDITIONS
+from tests.arms import three_hinges
 
 ENGINES = ("mjx", "chain")
 DT = 1e-3  # s
@@ -37,17 +38,17 @@ def mass_matrix(q):
     return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
 
 
-def random_states(count: int = STATES) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angles, speeds and torques [6, count], to the limits of the arm and a little beyond."""
+def random_states(count: int = STATES, n: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angles, speeds and torques [n, count], to the limits of the PUMA 560 and a little beyond."""
     draw = np.random.default_rng(560)
-    limit = 1.2 * np.asarray(TORQUE_LIMIT)[:, None]
-    return tuple(draw.uniform(-size, size, (6, count)) for size in (np.pi, 6.0, limit))
+    limit = 1.2 * np.asarray(TORQUE_LIMIT)[:n, None]
+    return tuple(draw.uniform(-size, size, (n, count)) for size in (np.pi, 6.0, limit))
 
 
-def random_plants(count: int = STATES) -> jaxftc.Plant:
+def random_plants(count: int = STATES, n: int = 6) -> jaxftc.Plant:
     """A different arm for every state: far more mismatch than any preset has."""
     draw = np.random.default_rng(561)
-    factor = lambda low, high: jnp.asarray(draw.uniform(low, high, (6, count)))  # noqa: E731
+    factor = lambda low, high: jnp.asarray(draw.uniform(low, high, (n, count)))  # noqa: E731
     return jaxftc.Plant(
         mass=factor(0.5, 2.0),
         payload=jnp.asarray(draw.uniform(0, 3, count)),
@@ -259,13 +260,14 @@ def test_nothing_moves_without_a_torque_where_there_is_no_gravity(puma):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_trailing_axes_are_a_loop_over_scenarios(puma, engine):
-    q, qd, tau = (x.reshape(6, 3, 2) for x in random_states(6))
-    plants = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], 3, 2), random_plants(6))
-    together = forward(puma, q, qd, tau, engine=engine, plant=plants)
+def test_trailing_axes_are_a_loop_over_scenarios(engine):
+    arm = three_hinges()
+    q, qd, tau = (x.reshape(arm.n, 3, 2) for x in random_states(6, arm.n))
+    plants = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], 3, 2), random_plants(6, arm.n))
+    together = forward(arm, q, qd, tau, engine=engine, plant=plants)
     for k in np.ndindex(3, 2):
         own = jax.tree.map(lambda leaf, k=k: leaf[..., *k], plants)
-        alone = forward(puma, q[:, *k], qd[:, *k], tau[:, *k], engine=engine, plant=own)
+        alone = forward(arm, q[:, *k], qd[:, *k], tau[:, *k], engine=engine, plant=own)
         np.testing.assert_allclose(together[:, *k], alone, rtol=1e-10, atol=1e-10)
 
 
@@ -275,16 +277,17 @@ def test_one_plant_serves_all_scenarios(puma):
     np.testing.assert_allclose(forward(puma, q, qd, tau, engine="chain"), expected, rtol=1e-12)
 
 
-def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(puma):
-    q, qd, tau = random_states(8)
-    weight = np.random.default_rng(2).normal(size=(2, 6, 8))
+def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant():
+    arm = three_hinges()
+    q, qd, tau = random_states(8, arm.n)
+    weight = np.random.default_rng(2).normal(size=(2, arm.n, 8))
 
     def cost(engine, plants, q, qd, tau):
-        after = plant.advance(puma, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
+        after = plant.advance(arm, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
         return sum((w * x).sum() for w, x in zip(weight, after, strict=True))
 
     slopes = jaxftc.jit(jax.grad(cost, argnums=(1, 2, 3, 4)), static_argnums=0)
-    by_chain, by_mjx = (slopes(engine, random_plants(8), q, qd, tau) for engine in ("chain", "mjx"))
+    by_chain, by_mjx = (slopes(engine, random_plants(8, arm.n), q, qd, tau) for engine in ("chain", "mjx"))
     for name, mine, theirs in zip(
         (*jaxftc.Plant._fields, "q", "qd", "tau"), jax.tree.leaves(by_chain), jax.tree.leaves(by_mjx), strict=True
     ):

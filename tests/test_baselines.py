@@ -19,11 +19,13 @@ from jaxftc.gains import align
 from jaxftc.observer import super_twisting
 from jaxftc.reference import cubic
 from jaxftc.types import ACTUATOR
+from tests.arms import three_hinges
 from tests.twins import printed
 from tuning import transform
 
 BASELINES = [scheme for scheme in SCHEMES if scheme != "cascade"]
 N, RATE = 6, 120.0
+SMALL = jaxftc.Config(three_hinges(), engine="chain")
 
 
 def replaced(gains: jaxftc.Gains, **values: float) -> jaxftc.Gains:
@@ -87,9 +89,10 @@ def test_every_scheme_starts_by_holding_the_arm(config, scheme):
 
 
 @pytest.mark.parametrize("scheme", BASELINES)
-def test_a_tick_uses_no_gain_that_is_idle(config, scheme):
-    config, q = of(config, scheme), jnp.linspace(-1.0, 1.0, N)
-    gains, zero = jaxftc.default_gains(config), jnp.zeros(N)
+def test_a_tick_uses_no_gain_that_is_idle(scheme):
+    config = of(SMALL, scheme)
+    gains, q = jaxftc.default_gains(config), jnp.linspace(-1.0, 1.0, config.n)
+    zero = jnp.zeros_like(q)
     state = jax.tree.map(lambda x: x + 1e-3 * jnp.ones_like(x), jaxftc.init(config, gains, q))
 
     def cost(gains):
@@ -225,15 +228,15 @@ def test_the_filter_of_a_linear_arm_is_the_textbooks():
         np.testing.assert_array_equal(getattr(out, name)[:, 0], means[:, column])
 
 
-def test_the_filters_jacobian_is_that_of_its_mean(puma):
+def test_the_filters_jacobian_is_that_of_its_mean():
     """For P = v v^T the predicted covariance is (F v)(F v)^T + Q, and F v is a central difference of the mean."""
-    config = jaxftc.Config(puma, engine="chain", scheme="ekf")
+    config = of(SMALL, "ekf")
     gains = align(jaxftc.default_gains(config), 0).baseline
     random = np.random.default_rng(2)
-    x, v = (jnp.asarray(random.normal(size=4 * N)) for _ in range(2))
-    tau = jnp.asarray(20 * random.normal(size=N))
+    x, v = (jnp.asarray(random.normal(size=4 * config.n)) for _ in range(2))
+    tau = jnp.asarray(20 * random.normal(size=config.n))
     predict = jaxftc.jit(lambda mean, cov: ekf.predict(config, gains, ekf.Belief(mean, cov), tau))
-    step, none = 1e-6, jnp.zeros((4 * N, 4 * N))
+    step, none = 1e-6, jnp.zeros((4 * config.n, 4 * config.n))
     ahead, behind = (predict(x + side * step * v, none) for side in (1, -1))
     pushed = (ahead.mean - behind.mean) / (2 * step)
     np.testing.assert_allclose(
@@ -306,9 +309,10 @@ def test_a_reading_that_comes_back_is_no_momentum(dropped):
 
 
 @pytest.mark.parametrize("scheme", BASELINES)
-def test_a_joint_without_a_reference_holds_its_angle(config, scheme):
-    config, q = of(config, scheme), jnp.linspace(-1.0, 1.0, N)
-    gains, zero = jaxftc.default_gains(config), jnp.zeros(N)
+def test_a_joint_without_a_reference_holds_its_angle(scheme):
+    config = of(SMALL, scheme)
+    gains, q = jaxftc.default_gains(config), jnp.linspace(-1.0, 1.0, config.n)
+    zero = jnp.zeros_like(q)
     state, tick = jaxftc.init(config, gains, q), jaxftc.jit(jaxftc.step, static_argnums=0)
     measurement = jaxftc.Measurement(q, state.pending.tau)
     held = tick(config, gains, state, jaxftc.Reference(q, zero, zero), measurement)

@@ -21,8 +21,9 @@ from jaxftc.gains import align
 from jaxftc.observer import adaptive, cascade, pi, super_twisting
 from jaxftc.reference import cubic
 from jaxftc.types import SENSOR
+from tests.arms import three_hinges
 
-N = 6
+N, PUMA = three_hinges().n, 6  # joints: of the arm of the contract, of the arm of the rest
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Block:
     change: tuple[tuple[str, str], ...] = ()  # what differs in the config
 
     def config(self) -> jaxftc.Config:
-        return jaxftc.Config(jaxftc.puma560(), engine="chain", **dict(self.change))
+        return jaxftc.Config(three_hinges(), engine="chain", **dict(self.change))
 
 
 def adapt_fuzzy(config, gains, state, e, strange, change, residual_tau):
@@ -290,11 +291,11 @@ def dropped(config) -> Callable[..., jaxftc.Trace]:
     def run(gap: tuple[float, float], joints: tuple[int, ...], payload: float = 0.0) -> jaxftc.Trace:
         scenario = jaxftc.paper_scenario("healthy", config)
         scenario = scenario._replace(plant=scenario.plant._replace(payload=jnp.asarray(payload)))
-        hit = jnp.isin(jnp.arange(N), jnp.asarray(joints))
+        hit = jnp.isin(jnp.arange(PUMA), jnp.asarray(joints))
         fault = scenario.fault_q._replace(
             kind=jnp.where(hit, Sensor.DROPOUT, Sensor.NONE).astype(jnp.int32),
-            onset=jnp.full(N, gap[0] - 1e-4),
-            clear=jnp.full(N, gap[1] + 1e-4),
+            onset=jnp.full(PUMA, gap[0] - 1e-4),
+            clear=jnp.full(PUMA, gap[1] + 1e-4),
         )
         return jaxftc.simulate(config, jaxftc.default_gains(config), scenario._replace(fault_q=fault), jax.random.key(3))
 
@@ -302,11 +303,11 @@ def dropped(config) -> Callable[..., jaxftc.Trace]:
 
 
 @pytest.mark.parametrize("gap", GAP)
-@pytest.mark.parametrize("joints", [(2,), (0, 4), tuple(range(N))], ids=["one", "two", "all"])
+@pytest.mark.parametrize("joints", [(2,), (0, 4), tuple(range(PUMA))], ids=["one", "two", "all"])
 def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
     trace, whole = dropped(GAP[gap], joints), dropped(GAP[gap], ())
     missing = ~np.isfinite(np.asarray(trace.y))
-    assert missing.any(0).tolist() == [j in joints for j in range(N)]
+    assert missing.any(0).tolist() == [j in joints for j in range(PUMA)]
     assert missing.sum() == len(joints) * round((GAP[gap][1] - GAP[gap][0]) / config.dt + 1)
     for name, leaf in trace.out._asdict().items():
         assert np.isfinite(leaf).all(), name
@@ -318,14 +319,14 @@ def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
     blamed = np.asarray(trace.out.verdict) & 2 > 0
     assert not (blamed & ~missing).any()
     last = np.flatnonzero(missing.any(1))[-1]
-    assert blamed[last].tolist() == [gap != "one tick" and j in joints for j in range(N)]
+    assert blamed[last].tolist() == [gap != "one tick" and j in joints for j in range(PUMA)]
     assert np.abs(trace.q - whole.q).max() < 5e-4
 
 
 @pytest.mark.parametrize("gap", GAP)
 def test_no_jump_is_booked_when_readings_come_back(config, dropped, gap):
     """The arm is not its model, so that the prediction has drifted: that is not the encoder's fault."""
-    trace = dropped(GAP[gap], tuple(range(N)), payload=2.0)
+    trace = dropped(GAP[gap], tuple(range(PUMA)), payload=2.0)
     back = round(GAP[gap][1] / config.dt) + 1
     drifted = np.abs(trace.out.q_hat - trace.q)[back - 1].max()
     assert drifted > (1e-4 if gap == "one tick" else 4e-4), "there is something to book"
@@ -359,7 +360,7 @@ def diagnose(config, gains, log) -> jaxftc.Output:
     return jax.lax.scan(body, jaxftc.init(config, gains, log.reference.q[0]), log)[1]
 
 
-def altered(log: Log, ticks: slice, joints: tuple[int, ...] = tuple(range(N)), *, q=None, tau=None) -> Log:
+def altered(log: Log, ticks: slice, joints: tuple[int, ...] = tuple(range(PUMA)), *, q=None, tau=None) -> Log:
     """The log with other readings or torques in some ticks and joints."""
     measurement = log.measurement
     at = (ticks, jnp.asarray(joints))
@@ -405,13 +406,13 @@ def test_an_unknown_torque_counts_as_the_command(config, log):
 
 def test_an_unknown_torque_counts_as_the_command_within_the_limits(config):
     """An impossible reference saturates every motor; the observer must not believe in more torque than was commanded."""
-    gains, zero = jaxftc.default_gains(config), jnp.zeros(N)
+    gains, zero = jaxftc.default_gains(config), jnp.zeros(PUMA)
     state = jaxftc.init(config, gains, zero)
     wild = jaxftc.Reference(zero, zero, zero + 1000.0)
     state, out = jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, state.pending.tau))
     np.testing.assert_array_equal(np.abs(out.tau), config.robot.torque_limit)
     known, unknown = (
-        jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, tau)) for tau in (out.tau, jnp.full(N, jnp.nan))
+        jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, tau)) for tau in (out.tau, jnp.full(PUMA, jnp.nan))
     )
     assert_close(unknown, known)
 

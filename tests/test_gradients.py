@@ -62,12 +62,13 @@ CASES = {
 def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
     """Default gains, but for those that do nothing at their default."""
     gains = jaxftc.default_gains(config)
-    floor = jnp.asarray([0.1, 0.1, 0.1, 2.9, 2.9, 2.9])  # half of the joints below it
+    n = config.n
+    floor = jnp.where(jnp.arange(n) < n / 2, 0.1, 2.9)  # half of the joints below it
     return dataclasses.replace(
         gains,
-        control=dataclasses.replace(gains.control, k_b=jnp.ones(N), floor=floor),
+        control=dataclasses.replace(gains.control, k_b=jnp.ones(n), floor=floor),
         diagnosis=dataclasses.replace(
-            gains.diagnosis, lam_q=jnp.full(N, 0.7), alpha_q=jnp.full(N, JUMP), lead=jnp.full(N, 1e3)
+            gains.diagnosis, lam_q=jnp.full(n, 0.7), alpha_q=jnp.full(n, JUMP), lead=jnp.full(n, 1e3)
         ),
     )
 
@@ -75,10 +76,11 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
 def faulty(config: jaxftc.Config) -> jaxftc.Scenario:
     """Both faults on all joints, with encoder noise; each stays."""
     both = jaxftc.paper_scenario("both", config, angle=JUMP)
-    at = lambda tick: {"onset": jnp.full(N, tick * config.dt - 1e-6), "clear": jnp.full(N, jnp.inf)}  # noqa: E731
-    faults = {
-        name: getattr(both, name)._replace(**at(t)) for name, t in (("fault_tau", ACTUATOR_AT), ("fault_q", SENSOR_AT))
-    }
+
+    def at(fault, tick):
+        return fault._replace(onset=jnp.full(config.n, tick * config.dt - 1e-6), clear=jnp.full(config.n, jnp.inf))
+
+    faults = {"fault_tau": at(both.fault_tau, ACTUATOR_AT), "fault_q": at(both.fault_q, SENSOR_AT)}
     return strong(both._replace(**faults))
 
 

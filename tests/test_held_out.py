@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from tests.arms import three_hinges
 from tuning import Comparison, Term, compare
 
 
@@ -24,8 +25,8 @@ def test_figures_of_a_known_case():
     assert comparison(before, np.array([[10.0, 10.0, 1.0], [10.0, 0.0, 10.0]])).diverged == (0, 1)
 
 
-def test_both_signs_on_both_presets_on_scenarios_of_the_key(paper_arm):
-    config = jaxftc.Config(paper_arm, engine="chain", observer="pi", control="smc", duration=0.02)
+def test_both_signs_on_both_presets_on_scenarios_of_the_key():
+    config = jaxftc.Config(three_hinges(), engine="chain", observer="pi", control="smc", duration=0.02)
     gains = jaxftc.default_gains(config)
     objective = {"end": Term(1.0, lambda r: r.trace.q[-1].sum(0))}
     one, other = (compare(config, gains, gains, jax.random.key(k), n=4, objective=objective, batch=4) for k in (0, 1))

@@ -14,14 +14,15 @@ import jaxftc
 from jaxftc import metrics
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.monte_carlo import run, score, table
+from tests.arms import three_hinges
 
-TICKS, N = 200, 6
+TICKS, N = 200, three_hinges().n
 
 
 @pytest.fixture(scope="module")
-def setting(puma):
+def setting():
     """A config of 0.4 s, and scenarios of every preset with faults early enough to clear and to come to an end."""
-    config = jaxftc.Config(puma, engine="chain", duration=0.4)
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
     parts = []
     for k, preset in enumerate(("standard", "hard", "doubles")):
         drawn = jaxftc.sample_scenarios(jax.random.key(40 + k), 12, preset, config=config)
@@ -109,7 +110,7 @@ def test_figures_of_a_stored_run_and_of_a_campaign_are_the_same(setting, scores,
 @functools.cache
 def scoring():
     """(config, compiled score of made-up runs): alarm [T, B] bool of joint 1, statistic [T, B], onset and clear [B]."""
-    config = jaxftc.Config(jaxftc.puma560(), engine="chain", duration=TICKS * 1e-3)
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=TICKS * 1e-3)
     gains = jaxftc.default_gains(config)
     blank = jaxftc.paper_scenario("healthy", config)
 

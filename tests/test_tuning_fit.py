@@ -9,6 +9,7 @@ import pytest
 
 import jaxftc
 from jaxftc.faults.scenario import take
+from tests.arms import three_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search
 from tuning.settings import GRADIENT_COST, round_length
 
@@ -19,7 +20,7 @@ SMALL = Settings(steps=10, batch=4, validation=4, learning_rate=0.2)
 @pytest.fixture(scope="module")
 def arm():
     """A short run of the simplest structure, which compiles quickly."""
-    return jaxftc.Config(jaxftc.puma560(), engine="chain", observer="pi", control="smc", duration=0.1)
+    return jaxftc.Config(three_hinges(), engine="chain", observer="pi", control="smc", duration=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +219,9 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
     start = None
     if "start" in change:
         gains = jaxftc.default_gains(arm)
-        start = dataclasses.replace(gains, control=dataclasses.replace(gains.control, lam=jnp.full(6, change.pop("start"))))
+        start = dataclasses.replace(
+            gains, control=dataclasses.replace(gains.control, lam=jnp.full(arm.n, change.pop("start")))
+        )
     some = take(scenarios, change.pop("scenarios", slice(None)))
     if "validation" in change:
         change["validation"] = take(scenarios, change["validation"])
@@ -261,7 +264,7 @@ def test_what_the_checkpoint_belongs_to(arm, scenarios):
     for shared in ("control.lam", "control.eps"):
         space = methods.transform.space(arm, start, ["control.lam", "control.eps"], [shared])
         identities.append(checkpoint.identity(problem, space, some, some, SMALL))
-    assert space.size == 7 and identities[0] != identities[1]
+    assert space.size == arm.n + 1 and identities[0] != identities[1]
 
 
 def test_every_scenario_is_used_before_any_is_used_again(arm, scenarios):

@@ -12,6 +12,7 @@ import pytest
 import jaxftc
 from jaxftc import compile as compiling
 from jaxftc.faults.scenario import stack, trail
+from tests.arms import three_hinges
 from tests.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform
 
@@ -31,10 +32,11 @@ class Setup(NamedTuple):
 @pytest.fixture(scope="module")
 def setup():
     """Two scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
-    config = jaxftc.Config(jaxftc.puma560(), engine="chain", duration=0.12)
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.12)
     start = base_gains(config)
-    # Close to the edge of stability, where that term has a slope.
-    start = dataclasses.replace(start, observer=dataclasses.replace(start.observer, alpha_i=14 * start.observer.alpha_i))
+    # Close to the edge of stability, where that term has a slope; by default it is at the kink of max(alpha_f1, alpha_f3).
+    o = start.observer
+    start = dataclasses.replace(start, observer=dataclasses.replace(o, alpha_i=14 * o.alpha_i, alpha_f3=1.1 * o.alpha_f3))
     scenarios = trail(stack([faulty(config)._replace(id=jnp.asarray(k, jnp.int32)) for k in range(BATCH)]))
     space = transform.space(config, start, transform.tunable(config))
     whole = Problem(config, OBJECTIVE, jax.random.key(0), BATCH)
@@ -62,7 +64,7 @@ def test_reverse_and_forward_agree(setup):
     np.testing.assert_allclose(setup.slope("forward"), setup.reverse, rtol=1e-6, atol=1e-9 * np.abs(setup.reverse).max())
 
 
-NAMES = transform.tunable(jaxftc.Config(jaxftc.puma560(), engine="chain"))
+NAMES = transform.tunable(jaxftc.Config(three_hinges(), engine="chain"))
 
 
 @pytest.mark.parametrize("name", NAMES)

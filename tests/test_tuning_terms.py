@@ -12,6 +12,7 @@ from jaxftc import compile as compiling
 from jaxftc import metrics
 from jaxftc.faults.scenario import take, trail
 from jaxftc.observer import stability
+from tests.arms import three_hinges
 from tests.twins import terms as twin
 from tuning import OBJECTIVE, Problem, Run, Term, transform
 from tuning.problem import LOST
@@ -22,7 +23,7 @@ N = 24
 @pytest.fixture(scope="module")
 def arm():
     """Coulomb friction, and runs long enough for what is scored after an onset."""
-    return jaxftc.Config(jaxftc.puma560(), engine="chain", duration=0.4)
+    return jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +108,7 @@ def test_the_smooth_radius_is_the_spectral_radius(arm):
     for observer in ("pi", "ts"):
         config = dataclasses.replace(arm, observer=observer)
         for _ in range(5):
-            factor = lambda: jnp.asarray(np.exp(random.uniform(-2, 2, 6)))  # noqa: E731
+            factor = lambda: jnp.asarray(np.exp(random.uniform(-2, 2, arm.n)))  # noqa: E731
             o = gains.observer
             o = dataclasses.replace(o, alpha_i=factor() * o.alpha_i, alpha_f1=factor() * o.alpha_f1, leak=factor() * o.leak)
             changed = dataclasses.replace(gains, observer=o)

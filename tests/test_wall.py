@@ -12,8 +12,9 @@ import jaxftc
 from jaxftc.config import SCHEMES
 from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.reference import cubic
+from tests.arms import three_hinges
 
-N, KEY = 6, 11
+N, KEY = three_hinges().n, 11
 ONSET = 30  # tick
 
 # A size for every kind of fault, in its own unit.
@@ -27,6 +28,11 @@ ANGLES = {
     Sensor.DROPOUT: 0.0,
 }
 FAULTS = [("fault_tau", kind, size) for kind, size in TORQUES.items()] + [("fault_q", k, size) for k, size in ANGLES.items()]
+
+
+@pytest.fixture(scope="module")
+def config() -> jaxftc.Config:
+    return jaxftc.Config(three_hinges(), engine="chain", duration=0.06)
 
 
 @pytest.fixture(scope="module")
