@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -15,7 +16,7 @@ from benchmarks.peers import dynamics as others
 from benchmarks.peers import mujoco_c, numpy_loop
 from benchmarks.results import Results, Setup, Table, apart
 from benchmarks.slope import slope_error
-from benchmarks.worker import Failed, Worker, compiling
+from benchmarks.worker import Failed, Task, Worker, compiling
 from jaxftc import closed_loop
 from jaxftc.config import Config
 from jaxftc.faults.scenario import paper_scenario, take, trail
@@ -25,6 +26,7 @@ from jaxftc.monte_carlo.score import Score
 from tuning.settings import ROUND
 
 KERNELS_TICKS = 20  # of programs whose text is counted
+FRESH = 3  # processes that are started from a filled cache; the least time counts
 COMPARED = 8  # scenarios of the closed loop that are run again by ``simulate``
 
 
@@ -83,8 +85,16 @@ def forward(setup: Setup, results: Results) -> None:
     with Worker(setup.task("loop"), setup.folder / "forward") as cold:
         results.metrics["compile_forward_s"] = compiling(cold)
     if sizes.everything:
-        with Worker(setup.task("loop"), setup.folder / "forward") as warm:
-            results.metrics["compile_forward_warm_s"] = compiling(warm)
+        results.metrics["compile_forward_warm_s"] = _warm(setup.task("loop"), setup.folder / "forward")
+
+
+def _warm(task: Task, cache: Path) -> float:
+    """Seconds that compiling takes from a filled cache: the least of some fresh processes."""
+    seconds = []
+    for _ in range(FRESH):
+        with Worker(task, cache) as worker:
+            seconds.append(compiling(worker))
+    return min(seconds)
 
 
 def _check_loop(results: Results, config: Config, gains: Gains, scores: Score) -> None:
@@ -134,8 +144,7 @@ def gradient(setup: Setup, results: Results) -> None:
         _race_gradient(setup, results, config, gains, cold)
         answer, size = cold(), cold.memory()
     if sizes.everything:
-        with Worker(task, cache) as warm:
-            results.metrics["compile_grad_warm_s"] = compiling(warm)
+        results.metrics["compile_grad_warm_s"] = _warm(task, cache)
     rows = [(sizes.gradient, results.metrics["grad_steps_per_s"])]
     if sizes.memory != sizes.gradient:
         with Worker(setup.task("gradient", batch=sizes.memory), cache) as large:

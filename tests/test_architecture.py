@@ -180,8 +180,10 @@ before = dict(jax.config.values)
 for name in NAMES: importlib.import_module(name)
 jax.config.update("jax_num_cpu_devices", jax.config.values["jax_num_cpu_devices"])  # refused once a backend has started
 import jaxftc
-robot = jaxftc.puma560()
-for engine in ("chain", "mjx"): jaxftc.forward_dynamics(robot, *[jax.numpy.zeros(6)] * 3, engine=engine)
+from benchmarks.arms import serial
+from jaxftc.arm.robot import compile_robot
+arm, run = compile_robot("arm", serial(2)), jaxftc.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
+for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engine)
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))
 """
     names = [name for name in OURS if not name.endswith("__main__")]

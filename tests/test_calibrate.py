@@ -23,6 +23,7 @@ from jaxftc.monte_carlo.calibrate import (
     with_thresholds,
     without_faults,
 )
+from tests.arms import three_hinges
 
 
 @pytest.fixture(scope="module")
@@ -31,14 +32,19 @@ def config(puma):
 
 
 @pytest.fixture(scope="module")
-def scenarios(config):
-    return jaxftc.sample_scenarios(jax.random.key(60), 480, config=config)
+def small():
+    return jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
 
 
 @pytest.fixture(scope="module")
-def found(config, scenarios):
+def scenarios(small):
+    return jaxftc.sample_scenarios(jax.random.key(60), 480, config=small)
+
+
+@pytest.fixture(scope="module")
+def found(small, scenarios):
     with jax.enable_x64(False):
-        return calibrate(config, jaxftc.default_gains(config), scenarios, jax.random.key(61), false_alarms=0.05)
+        return calibrate(small, jaxftc.default_gains(small), scenarios, jax.random.key(61), false_alarms=0.05)
 
 
 def test_fresh_runs_alarm_as_often_as_wanted(found):
@@ -47,12 +53,12 @@ def test_fresh_runs_alarm_as_often_as_wanted(found):
     assert found.reached.value <= 0.1 and found.reached.low <= 0.05
 
 
-def test_thresholds_are_no_larger_than_they_need_be(config, scenarios, found):
+def test_thresholds_are_no_larger_than_they_need_be(small, scenarios, found):
     """A tenth lower, and more runs alarm than are allowed: it is the threshold of this rate, not merely a large one."""
     learn = without_faults(jax.tree.map(lambda x: np.asarray(x)[:240], scenarios))
     lower = with_thresholds(found.gains, 0.9 * found.gains.diagnosis.alpha_tau, found.gains.diagnosis.alpha_q)
     with jax.enable_x64(False):
-        alarms = [(run.scores(config, g, learn, jax.random.key(61)).false_ticks > 0).sum() for g in (found.gains, lower)]
+        alarms = [(run.scores(small, g, learn, jax.random.key(61)).false_ticks > 0).sum() for g in (found.gains, lower)]
     assert alarms[0] <= 2 * allowed(240, 0.05, 0.95) + 1 < alarms[1]
 
 
@@ -106,14 +112,14 @@ def test_faults_are_left_out(scenarios):
     np.testing.assert_array_equal(healthy.q_goal, scenarios.q_goal)
 
 
-def test_it_goes_on_until_the_thresholds_stay(config, scenarios, monkeypatch):
+def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
     """The fuzzy stage reads the thresholds, so that new ones change the statistics."""
     monkeypatch.setattr(module, "ROUNDS", 1)
     with jax.enable_x64(False):
-        once = calibrate(config, jaxftc.default_gains(config), scenarios, jax.random.key(61), false_alarms=0.05)
+        once = calibrate(small, jaxftc.default_gains(small), scenarios, jax.random.key(61), false_alarms=0.05)
     assert not once.settled and once.rounds == 1
     assert (
-        dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(config).diagnosis).keys()
+        dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(small).diagnosis).keys()
     )
 
 

@@ -150,7 +150,7 @@ def test_refusals(config):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
     with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
         jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)
-    with pytest.raises(ValueError, match="key must be one random key, such as jax.random"):
+    with pytest.raises(ValueError, match=r"key must be one random key, such as jax\.random\.key\(0\), got 0"):
         jaxftc.sample_scenarios(0, 4, config=config)
 
 

@@ -17,6 +17,7 @@ from jaxftc.fusion import evaluate as evaluating
 from jaxftc.fusion.evaluate import evaluate, stack_shapes
 from jaxftc.fusion.plan import plan
 from jaxftc.fusion.rewrite import planned
+from tests.arms import three_hinges
 
 LANES = 64
 
@@ -237,8 +238,9 @@ def test_loops_branches_calls_and_static_arguments_pass():
     jax.tree.map(np.testing.assert_allclose, ours, fun(x, 4, shift=0.5))
 
 
-def test_the_closed_loop_is_the_same_with_and_without_a_plan(config):
+def test_the_closed_loop_is_the_same_with_and_without_a_plan():
     """In double precision, on enough scenarios to need fences."""
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.06)
     gains, key = jaxftc.default_gains(config), jax.random.key(0)
     scenarios = trail(jaxftc.sample_scenarios(jax.random.key(1), LANES, config=config))
 
@@ -253,11 +255,12 @@ def test_the_closed_loop_is_the_same_with_and_without_a_plan(config):
         np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-7)
 
 
-def test_gradients_are_the_same_with_and_without_a_plan(puma):
-    q = jnp.linspace(-1, 1, puma.n * LANES).reshape(puma.n, LANES)
+def test_gradients_are_the_same_with_and_without_a_plan():
+    arm = three_hinges()
+    q = jnp.linspace(-1, 1, arm.n * LANES).reshape(arm.n, LANES)
 
     def slope(q):
-        return jax.grad(lambda q: (jaxftc.forward_dynamics(puma, q, 0.5 * q, 10 * q, "chain") ** 2).sum())(q)
+        return jax.grad(lambda q: (jaxftc.forward_dynamics(arm, q, 0.5 * q, 10 * q, "chain") ** 2).sum())(q)
 
     ours = jax.jit(planned(slope), compiler_options=compiling.compiler_options())(q)
     theirs = jax.jit(slope, compiler_options=compiling.compiler_options(small=True))(q)
