@@ -26,9 +26,8 @@ from jaxftc.kept import across_processes
 SMALL = 128  # elements of an array with more than one axis; vectors of parameters do not count
 _WHOLE = {"xla_cpu_use_fusion_emitters": False, "xla_disable_hlo_passes": "call-inliner"}
 _PLANNED = {
-    # The first would make one of what is written out for several loops; the next two: see above. The last takes little out of
-    # our loops, but keeps XLA simplifying them: a sixth of the time to compile.
-    "xla_disable_hlo_passes": "cse,cse_barrier_expander,small-while-loop-hoisting,while-loop-invariant-code-motion",
+    # The first would make one of what is written out for several loops; the others: see above.
+    "xla_disable_hlo_passes": "cse,cse_barrier_expander,small-while-loop-hoisting",
     "xla_cpu_prefer_vector_width": 512,  # bits, where the processor has them; XLA stops at 256
 }
 # The pass that hands parts of large loops to other cores, and then waits for them.

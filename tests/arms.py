@@ -9,5 +9,8 @@ from jaxftc.arm.robot import compile_robot
 
 @functools.cache
 def three_hinges() -> Robot:
-    """Motors with limits, viscous and Coulomb friction, gravity: all that the PUMA 560 has."""
-    return compile_robot("arm3", arms.serial(3).replace('damping="1"', 'damping="1" frictionloss="0.5"'))
+    """Motors with limits, viscous friction, Coulomb friction that depends on the direction, gravity."""
+    text = arms.serial(3).replace("<worldbody>", '<size nuser_jnt="2"/><worldbody>')
+    robot = compile_robot("three hinges", text.replace("<joint ", '<joint user="0.6 0.4" '))
+    assert (robot.coulomb_positive > robot.coulomb_negative).all() and (robot.coulomb_negative > 0).all()
+    return robot

@@ -262,10 +262,10 @@ def test_nothing_moves_without_a_torque_where_there_is_no_gravity(puma):
 @pytest.mark.parametrize("engine", ENGINES)
 def test_trailing_axes_are_a_loop_over_scenarios(engine):
     arm = three_hinges()
-    q, qd, tau = (x.reshape(arm.n, 3, 2) for x in random_states(6, arm.n))
-    plants = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], 3, 2), random_plants(6, arm.n))
+    q, qd, tau = (x.reshape(arm.n, 4, 2) for x in random_states(8, arm.n))
+    plants = jax.tree.map(lambda leaf: leaf.reshape(*leaf.shape[:-1], 4, 2), random_plants(8, arm.n))
     together = forward(arm, q, qd, tau, engine=engine, plant=plants)
-    for k in np.ndindex(3, 2):
+    for k in np.ndindex(4, 2):
         own = jax.tree.map(lambda leaf, k=k: leaf[..., *k], plants)
         alone = forward(arm, q[:, *k], qd[:, *k], tau[:, *k], engine=engine, plant=own)
         np.testing.assert_allclose(together[:, *k], alone, rtol=1e-10, atol=1e-10)
@@ -277,8 +277,8 @@ def test_one_plant_serves_all_scenarios(puma):
     np.testing.assert_allclose(forward(puma, q, qd, tau, engine="chain"), expected, rtol=1e-12)
 
 
-def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant():
-    arm = three_hinges()
+@pytest.mark.parametrize("arm", [three_hinges(), pytest.param(jaxftc.puma560(), marks=pytest.mark.slow)], ids=["3", "6"])
+def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(arm):
     q, qd, tau = random_states(8, arm.n)
     weight = np.random.default_rng(2).normal(size=(2, arm.n, 8))
 

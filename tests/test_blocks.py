@@ -23,7 +23,7 @@ from jaxftc.reference import cubic
 from jaxftc.types import SENSOR
 from tests.arms import three_hinges
 
-N, PUMA = three_hinges().n, 6  # joints: of the arm of the contract, of the arm of the rest
+N, ALL = three_hinges().n, tuple(range(6))  # joints: of the arm of the contract; of the PUMA, which the rest runs on
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,7 +200,7 @@ def without_thresholds(info: Any) -> Any:
 
 
 @each(*SMALL, *PAIRS, *BASELINES, *VARIANTS)
-@pytest.mark.parametrize("axes", [(), (2, 3)], ids=["one", "scenarios"])
+@pytest.mark.parametrize("axes", [(), (2, 5)], ids=["one", "scenarios"])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["single", "double"])
 def test_state_comes_out_as_it_went_in(block, axes, dtype):
     """Same tree, shapes and precision; every number of the info in the same precision too, scenarios on its last axes."""
@@ -240,15 +240,15 @@ def test_trailing_axes_are_vmap_are_a_loop(block):
     tick, gains = tick_of(block)
     tick = jaxftc.jit(tick)
     mapped = jaxftc.jit(jax.vmap(tick, in_axes=(None, -1, *[-1] * len(block.sizes)), out_axes=-1))
-    signals = draw(block, (3,), 3)
+    signals = draw(block, (5,), 3)
     start = begin(block, gains, signals[0][0])
     together, by_map = start, start
-    alone = [jax.tree.map(lambda leaf, k=k: leaf[..., k], start) for k in range(3)]
+    alone = [jax.tree.map(lambda leaf, k=k: leaf[..., k], start) for k in range(5)]
     for each_tick in signals:
         together, info = tick(gains, together, *each_tick)
         by_map, info_by_map = mapped(gains, by_map, *each_tick)
         assert_close((by_map, info_by_map), (together, info))
-        for k in range(3):
+        for k in range(5):
             alone[k], own = tick(gains, alone[k], *(signal[..., k] for signal in each_tick))
             assert_close((alone[k], own), jax.tree.map(lambda leaf, k=k: leaf[..., k], (together, info)))
 
@@ -291,11 +291,11 @@ def dropped(config) -> Callable[..., jaxftc.Trace]:
     def run(gap: tuple[float, float], joints: tuple[int, ...], payload: float = 0.0) -> jaxftc.Trace:
         scenario = jaxftc.paper_scenario("healthy", config)
         scenario = scenario._replace(plant=scenario.plant._replace(payload=jnp.asarray(payload)))
-        hit = jnp.isin(jnp.arange(PUMA), jnp.asarray(joints))
+        hit = jnp.isin(jnp.arange(config.n), jnp.asarray(joints))
         fault = scenario.fault_q._replace(
             kind=jnp.where(hit, Sensor.DROPOUT, Sensor.NONE).astype(jnp.int32),
-            onset=jnp.full(PUMA, gap[0] - 1e-4),
-            clear=jnp.full(PUMA, gap[1] + 1e-4),
+            onset=jnp.full(config.n, gap[0] - 1e-4),
+            clear=jnp.full(config.n, gap[1] + 1e-4),
         )
         return jaxftc.simulate(config, jaxftc.default_gains(config), scenario._replace(fault_q=fault), jax.random.key(3))
 
@@ -303,11 +303,11 @@ def dropped(config) -> Callable[..., jaxftc.Trace]:
 
 
 @pytest.mark.parametrize("gap", GAP)
-@pytest.mark.parametrize("joints", [(2,), (0, 4), tuple(range(PUMA))], ids=["one", "two", "all"])
+@pytest.mark.parametrize("joints", [(2,), (0, 4), ALL], ids=["one", "two", "all"])
 def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
     trace, whole = dropped(GAP[gap], joints), dropped(GAP[gap], ())
     missing = ~np.isfinite(np.asarray(trace.y))
-    assert missing.any(0).tolist() == [j in joints for j in range(PUMA)]
+    assert missing.any(0).tolist() == [j in joints for j in ALL]
     assert missing.sum() == len(joints) * round((GAP[gap][1] - GAP[gap][0]) / config.dt + 1)
     for name, leaf in trace.out._asdict().items():
         assert np.isfinite(leaf).all(), name
@@ -319,14 +319,14 @@ def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
     blamed = np.asarray(trace.out.verdict) & 2 > 0
     assert not (blamed & ~missing).any()
     last = np.flatnonzero(missing.any(1))[-1]
-    assert blamed[last].tolist() == [gap != "one tick" and j in joints for j in range(PUMA)]
+    assert blamed[last].tolist() == [gap != "one tick" and j in joints for j in ALL]
     assert np.abs(trace.q - whole.q).max() < 5e-4
 
 
 @pytest.mark.parametrize("gap", GAP)
 def test_no_jump_is_booked_when_readings_come_back(config, dropped, gap):
     """The arm is not its model, so that the prediction has drifted: that is not the encoder's fault."""
-    trace = dropped(GAP[gap], tuple(range(PUMA)), payload=2.0)
+    trace = dropped(GAP[gap], ALL, payload=2.0)
     back = round(GAP[gap][1] / config.dt) + 1
     drifted = np.abs(trace.out.q_hat - trace.q)[back - 1].max()
     assert drifted > (1e-4 if gap == "one tick" else 4e-4), "there is something to book"
@@ -360,7 +360,7 @@ def diagnose(config, gains, log) -> jaxftc.Output:
     return jax.lax.scan(body, jaxftc.init(config, gains, log.reference.q[0]), log)[1]
 
 
-def altered(log: Log, ticks: slice, joints: tuple[int, ...] = tuple(range(PUMA)), *, q=None, tau=None) -> Log:
+def altered(log: Log, ticks: slice, joints: tuple[int, ...] = ALL, *, q=None, tau=None) -> Log:
     """The log with other readings or torques in some ticks and joints."""
     measurement = log.measurement
     at = (ticks, jnp.asarray(joints))
@@ -406,13 +406,13 @@ def test_an_unknown_torque_counts_as_the_command(config, log):
 
 def test_an_unknown_torque_counts_as_the_command_within_the_limits(config):
     """An impossible reference saturates every motor; the observer must not believe in more torque than was commanded."""
-    gains, zero = jaxftc.default_gains(config), jnp.zeros(PUMA)
+    gains, zero = jaxftc.default_gains(config), jnp.zeros(config.n)
     state = jaxftc.init(config, gains, zero)
     wild = jaxftc.Reference(zero, zero, zero + 1000.0)
     state, out = jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, state.pending.tau))
     np.testing.assert_array_equal(np.abs(out.tau), config.robot.torque_limit)
     known, unknown = (
-        jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, tau)) for tau in (out.tau, jnp.full(PUMA, jnp.nan))
+        jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, tau)) for tau in (out.tau, zero + jnp.nan)
     )
     assert_close(unknown, known)
 

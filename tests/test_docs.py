@@ -17,7 +17,7 @@ from jaxftc.gains import BLOCKS, Spec, specs
 
 ROOT = Path(__file__).parents[1]
 PAGES = {path.name: path.read_text() for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]}
-SLOW_PAGES = {"campaigns.md", "performance.md", "robot.md", "tuning.md"}  # campaigns, a gradient for all gains, MJX
+SLOW_PAGES = {"campaigns.md", "performance.md", "tuning.md"}  # they compile campaigns, or a gradient for all gains
 REDUCED = {  # options added to the printed commands before they run here: their own sizes take minutes to hours
     "demo": "--engine chain",
     "simulate": "",

@@ -15,6 +15,7 @@ from jaxftc.closed_loop import encoder_noise
 from jaxftc.faults import inject, profiles
 from jaxftc.faults.kinds import Actuator, Fault, Sensor, no_fault
 from jaxftc.faults.scenario import CONDITIONS, paper_scenario, stack, trail
+from tests.arms import three_hinges
 
 LIMIT = jnp.array([10.0, jnp.inf])
 
@@ -198,3 +199,13 @@ def test_no_fault_is_healthy():
     for t in (0.0, 0.5, 100.0):
         np.testing.assert_array_equal(deliver(healthy, 4.0, t), 4.0)
         np.testing.assert_array_equal(read(healthy, 0.5, t)[0], 0.5)
+
+
+@pytest.mark.parametrize("preset", ["standard", "hard", "doubles"])
+def test_no_random_key_is_used_twice(preset):
+    """JAX's own check, where scenarios are drawn: what is drawn again from the same key is the same again."""
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=1.1)
+    with jax.debug_key_reuse(True):
+        with pytest.raises(jax.errors.KeyReuseError):
+            jaxftc.jit(lambda key: jax.random.normal(key) + jax.random.uniform(key))(jax.random.key(0))
+        jaxftc.sample_scenarios(jax.random.key(0), 2, preset, config=config)

@@ -249,6 +249,7 @@ def test_the_closed_loop_is_the_same_with_and_without_a_plan():
             1
         ]
 
+    assert any(body.fenced for body in plan(jax.make_jaxpr(run)(scenarios)).bodies.values())
     ours = jax.jit(planned(run), compiler_options=compiling.compiler_options())(scenarios)
     theirs = jax.jit(run, compiler_options=compiling.compiler_options(small=True))(scenarios)
     for a, b in zip(ours, theirs, strict=True):
@@ -262,6 +263,7 @@ def test_gradients_are_the_same_with_and_without_a_plan():
     def slope(q):
         return jax.grad(lambda q: (jaxftc.forward_dynamics(arm, q, 0.5 * q, 10 * q, "chain") ** 2).sum())(q)
 
+    assert fences(slope, q) > 0
     ours = jax.jit(planned(slope), compiler_options=compiling.compiler_options())(q)
     theirs = jax.jit(slope, compiler_options=compiling.compiler_options(small=True))(q)
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)

@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-import jaxftc
 from jaxftc import noise
-from tests.arms import three_hinges
 
 TICKS = 40
 
@@ -63,16 +61,3 @@ def test_they_are_normal_and_independent():
     for axis in range(3):
         one, next_one = np.delete(drawn, 0, axis), np.delete(drawn, -1, axis)
         assert abs(np.mean(one * next_one)) < 4 / count**0.5
-
-
-def test_no_random_key_is_used_twice():
-    """What is drawn again from the same key is the same again: JAX's own check, from drawing scenarios to a campaign."""
-    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.15)
-    with jax.debug_key_reuse(True):
-        with pytest.raises(jax.errors.KeyReuseError):
-            jaxftc.jit(lambda key: jax.random.normal(key) + jax.random.uniform(key))(jax.random.key(0))
-        for preset in ("paper", "standard", "hard", "doubles"):
-            scenarios = jaxftc.sample_scenarios(jax.random.key(0), 2, preset, config=config)
-        gains = jaxftc.default_gains(config)
-        jaxftc.simulate(config, gains, jaxftc.trail(scenarios), jax.random.key(1))
-        jaxftc.campaign(config, gains, scenarios, jax.random.key(2))

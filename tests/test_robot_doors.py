@@ -140,7 +140,7 @@ def arms_and_engines() -> list:
 def test_any_serial_arm_moves_as_in_mujoco(tmp_path, arm, engine):
     name, text = ARMS[arm]
     robot = load(tmp_path, text, name)
-    draw = np.random.default_rng(robot.n)
+    draw = np.random.default_rng(robot.n)  # 64 states: shorter loops are unrolled, and take twice as long to compile
     q, qd, tau = (draw.uniform(-size, size, (robot.n, 64)) for size in (np.pi, 3.0, 10.0))
     loaded = jaxftc.nominal_plant(robot)._replace(payload=jnp.asarray(1.5))
     expected = acceleration_in_c(robot, 1.5, q, qd, tau)

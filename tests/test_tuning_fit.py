@@ -121,7 +121,7 @@ def test_searches_stay_within_their_budget_and_resume(arm, scenarios, method, tm
 
 
 def test_finite_differences_descend(arm, scenarios):
-    settings = dataclasses.replace(SMALL, method="finite", steps=8)
+    settings = dataclasses.replace(SMALL, method="finite", steps=8, patience=1.0)
     result = run(arm, scenarios, settings=settings, only=["control.lam", "control.eps"], shared=["control"])
     assert result.steps == settings.budget // (4 * 3)  # two numbers and the point itself
     assert result.best_step > 0

@@ -34,7 +34,8 @@ def setup():
     """Two scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
     config = jaxftc.Config(three_hinges(), engine="chain", duration=0.12)
     start = base_gains(config)
-    # Close to the edge of stability, where that term has a slope; by default it is at the kink of max(alpha_f1, alpha_f3).
+    # Close to the edge of stability, where that term has a slope; alpha_f1 and alpha_f3 are alike by default, a kink of
+    # their maximum there.
     o = start.observer
     start = dataclasses.replace(start, observer=dataclasses.replace(o, alpha_i=14 * o.alpha_i, alpha_f3=1.1 * o.alpha_f3))
     scenarios = trail(stack([faulty(config)._replace(id=jnp.asarray(k, jnp.int32)) for k in range(BATCH)]))

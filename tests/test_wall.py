@@ -32,6 +32,7 @@ FAULTS = [("fault_tau", kind, size) for kind, size in TORQUES.items()] + [("faul
 
 @pytest.fixture(scope="module")
 def config() -> jaxftc.Config:
+    """In place of the PUMA that other tests share."""
     return jaxftc.Config(three_hinges(), engine="chain", duration=0.06)
 
 
