@@ -60,7 +60,7 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
-    return _simulate(config, gains, scenario, key)
+    return (_one if jnp.ndim(scenario.id) == 0 else _many)(config, gains, scenario, key)
 
 
 def check(config: Config, gains: Gains, scenario: Scenario) -> None:
@@ -177,7 +177,8 @@ def _simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> T
     return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick))[1]
 
 
-_simulate = jit(_simulate, static_argnums=0)
+_many = jit(_simulate, static_argnums=0)
+_one = jit(_simulate, static_argnums=0, one=True)
 
 
 def _align(fault: Fault, axes: int) -> Fault:

@@ -15,7 +15,8 @@ from itertools import pairwise
 
 import jax.numpy as jnp
 
-from jaxftc.types import Array, unstack
+from jaxftc.barrier import stack, unstack
+from jaxftc.types import Array
 
 
 def advance(xi: Array, x: Array, u: Array) -> Array:
@@ -24,7 +25,7 @@ def advance(xi: Array, x: Array, u: Array) -> Array:
     rows = [xi * now[0] + jnp.sqrt(1 - xi**2) * u]
     for before, this in pairwise(now):
         rows.append(xi * this + before - xi * rows[-1])
-    return jnp.stack(rows, axis=1)
+    return stack(rows, axis=1)
 
 
 def steady_gain(xi: Array) -> Array:

@@ -17,6 +17,7 @@ import numpy as np
 from jax import lax
 
 from jaxftc.arm.trigonometry import polynomial
+from jaxftc.barrier import store
 from jaxftc.types import Array
 
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
@@ -42,7 +43,7 @@ def normal(stream: Array, k: Array, n: int) -> Array:
     bits = _threefry(stream[0], stream[1], k.astype(jnp.uint32) * jnp.uint32(n) + joints)
     unit = lax.bitcast_convert_type((bits >> 9) | jnp.uint32(0x3F800000), jnp.float32) - 1  # [0, 1)
     low = np.nextafter(np.float32(-1), np.float32(0))
-    return math.sqrt(2) * _erf_inv(jnp.maximum(low, unit * (np.float32(1) - low) + low))
+    return store(math.sqrt(2) * _erf_inv(store(jnp.maximum(low, unit * (np.float32(1) - low) + low))))
 
 
 def _threefry(key_0: Array, key_1: Array, counter: Array) -> Array:

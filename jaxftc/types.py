@@ -58,15 +58,6 @@ class Output(NamedTuple):
     alpha_online: Array  # [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not used
 
 
-def unstack(x: Array, axis: int = 0) -> list[Array]:
-    """Slices of x along an axis, the axis dropped.
-
-    By one split, whose reverse mode is one concatenation; that of indexing would be a padded sum for each slice, into every
-    entry of which XLA's CPU compiler draws the arithmetic of all of them.
-    """
-    return [jax.lax.squeeze(part, [axis]) for part in jax.lax.split(x, [1] * x.shape[axis], axis)]
-
-
 def trailing(leaf: Array, rank: int, axes: int) -> Array:
     """Give a constant of own rank ``rank`` the singleton scenario axes it lacks: [n] -> [n, 1, ...].
 

@@ -17,8 +17,10 @@ import numpy as np
 
 from jaxftc.arm.robot import Link, Robot
 from jaxftc.arm.trigonometry import cos_sin
+from jaxftc.barrier import stack as join
+from jaxftc.barrier import store
+from jaxftc.barrier import unstack as lanes
 from jaxftc.types import Array
-from jaxftc.types import unstack as lanes
 
 Lane = Any  # float or Array [...]
 Vector = tuple[Lane, Lane, Lane]
@@ -27,7 +29,7 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 def stack(values: list[Lane], like: Array) -> Array:
     """Lanes as one array in the shape and precision of ``like`` [n, ...]; a lane may be a plain number."""
-    return jnp.stack([jnp.broadcast_to(jnp.asarray(v, like.dtype), like.shape[1:]) for v in values])
+    return store(join([jnp.broadcast_to(jnp.asarray(v, like.dtype), like.shape[1:]) for v in values]))
 
 
 class Inertia(NamedTuple):

@@ -19,6 +19,7 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.arm import chain, mjx
 from jaxftc.arm.robot import Robot
+from jaxftc.barrier import stack
 from jaxftc.types import Array, trailing
 
 Engine = Literal["mjx", "chain"]
@@ -67,7 +68,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
         drive = drive - chain.stack(chain.newton_euler(robot, inertias, at, chain.lanes(qd), None), drive)
     for i, diagonal in enumerate(chain.lanes(armature + dt * damping)):
         rows[i][i] = rows[i][i] + diagonal
-    return jnp.stack(chain.solve(rows, chain.lanes(drive)))
+    return stack(chain.solve(rows, chain.lanes(drive)))
 
 
 def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxftc import smooth
 from jaxftc.arm import chain, plant
 from jaxftc.arm.robot import Robot
+from jaxftc.barrier import stack
 from jaxftc.types import Array
 
 
@@ -35,7 +36,7 @@ def commanded(robot: Robot, pending: Pending, tau: Array) -> tuple[Array, Array]
     """
     limit = chain.trailing_constant(robot.torque_limit, pending.tau)
     tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(pending.tau, limit))
-    return tau, pending.qdd + jnp.stack(chain.solve(rows(pending.mass), chain.lanes(tau - pending.tau)))
+    return tau, pending.qdd + stack(chain.solve(rows(pending.mass), chain.lanes(tau - pending.tau)))
 
 
 def rows(mass: Array) -> list[list[chain.Lane]]:

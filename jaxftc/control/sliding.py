@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc import smooth
+from jaxftc.barrier import store
 from jaxftc.config import Config
 from jaxftc.control import gain
 from jaxftc.control.surface import Surface
@@ -39,4 +40,4 @@ def law(config: Config, gains: ControlGains, surface: Surface, q: Array, psi: Ar
         factor = gain.alpha_online(config, gains, q, surface.s)
     switching = alpha * factor * smooth.sign(surface.s, gains.eps, hard=config.sign == "hard")  # U_a
     equivalent = reference.qdd - gains.lam * surface.errord - gains.k_b * surface.s  # U_b
-    return Command(equivalent - switching - psi, factor)  # U_C = -A psi
+    return store(Command(equivalent - switching - psi, factor))  # U_C = -A psi

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax.numpy as jnp
-
 from jaxftc.arm.chain import Lane, lanes
+from jaxftc.barrier import stack
 from jaxftc.types import Array
 
 
@@ -25,4 +24,4 @@ def generate(mass: list[list[Lane]], psi: Array, y: Array, y_hat: Array) -> Resi
 def torque(mass: list[list[Lane]], qdd: Array) -> Array:
     """M qdd [n, ...] N m for M as n x n lanes."""
     parts = lanes(qdd)
-    return jnp.stack([sum(m * a for m, a in zip(row, parts, strict=True)) for row in mass])
+    return stack([sum(m * a for m, a in zip(row, parts, strict=True)) for row in mass])

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.barrier import store
 from jaxftc.faults.kinds import Actuator, Fault, Sensor
 from jaxftc.faults.profiles import present, size
 from jaxftc.types import Array
@@ -35,6 +36,7 @@ def deliver(fault: Fault, state: State, t: Array, tau: Array, limit: Array) -> t
         (Actuator.SATURATION, jnp.where(jnp.isfinite(limit), jnp.clip(tau, -left, left), tau)),
     ):
         delivered = jnp.where(there & (fault.kind == kind), value, delivered)
+    held, delivered = store((held, delivered))
     return state._replace(tau=held), delivered
 
 

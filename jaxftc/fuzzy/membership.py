@@ -13,7 +13,8 @@ import math
 import jax
 import jax.numpy as jnp
 
-from jaxftc.types import Array, unstack
+from jaxftc.barrier import unstack
+from jaxftc.types import Array
 
 
 def grades(x: Array, centres: Array, widths: Array) -> list[Array]:

@@ -8,8 +8,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
+from jaxftc.barrier import unstack
 from jaxftc.fuzzy.membership import grades
-from jaxftc.types import Array, unstack
+from jaxftc.types import Array
 
 PRINTED = np.array(
     [

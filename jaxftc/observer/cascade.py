@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc import arx, laguerre
+from jaxftc.barrier import store
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.observer import adaptive, pi, super_twisting
@@ -101,7 +102,7 @@ def explain(
         jump = adaptive.Jump(*[jnp.zeros_like(e)] * 4)
     shift = jnp.where(back, e, jump.followed)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]  # H_y(1) = 1: y_hat moves by shift
-    y_hat, e, b = y_hat + shift, e - shift - jump.moved, b + jump.moved
+    y_hat, e, b = store((y_hat + shift, e - shift - jump.moved, b + jump.moved))
     pi_next, psi = pi.step(gains.observer, state.pi, e)
     sliding_next = state.sliding
     if config.observer != "pi":
