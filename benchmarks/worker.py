@@ -6,6 +6,7 @@ The parent starts it and asks; the child answers with one line of JSON on stdout
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import os
 import subprocess
@@ -95,9 +96,11 @@ class Worker:
 
 
 def environment(cache: Path) -> dict[str, str]:
-    """For a process of its own, with a cache of its own; it sets the flag that commands set itself, or goes without."""
-    flags = [flag for flag in os.environ.get("XLA_FLAGS", "").split() if flag != common.SEVERAL_RESULTS]
-    return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": " ".join(flags)}
+    """For a process of its own, with a cache of its own; it sets the flags that commands set itself, or goes without."""
+    from jaxftc.compile import FLAGS, without_flag
+
+    flags = functools.reduce(without_flag, FLAGS, os.environ.get("XLA_FLAGS", ""))
+    return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": flags}
 
 
 def compiling(worker: Worker, rounds: int = 2) -> float:

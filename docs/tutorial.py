@@ -122,7 +122,7 @@ for name, some in (("default", gains), ("steeper surface", steeper)):
 # 6. A gradient
 #
 # Everything but the verdict is differentiable, through plant, faults, observer and
-# controller. Compile your own programs with jaxftc.jit: the same gradient takes many
+# controller. Compile your own programs with jax.jit: the same gradient takes many
 # times longer to run with JAX's usual options.
 
 
@@ -134,7 +134,7 @@ def torque_error(alpha_i):
     return jnp.mean((trace.out.fault_tau_hat - trace.fault_tau) ** 2)
 
 
-value_and_slope = jaxftc.jit(jax.value_and_grad(torque_error))
+value_and_slope = jax.jit(jax.value_and_grad(torque_error))
 before, slope = value_and_slope(gains.observer.alpha_i)
 after, _ = value_and_slope(gains.observer.alpha_i * jnp.exp(-0.3 * jnp.sign(slope)))
 print(f"one step against the gradient: {before:.3f} -> {after:.3f} (N m)^2")

@@ -19,7 +19,7 @@ _ROOMS = {
     "arm.puma560": ("puma560",),
     "arm.robot": ("Robot", "load_robot"),
     "closed_loop": ("Trace", "simulate"),
-    "compile": ("jit",),
+    "compile": ("configure_xla",),
     "config": ("Config",),
     "controller": ("State",),
     "defaults": ("default_gains",),

@@ -8,7 +8,7 @@ from jaxftc.arm.robot import Robot as Robot
 from jaxftc.arm.robot import load_robot as load_robot
 from jaxftc.closed_loop import Trace as Trace
 from jaxftc.closed_loop import simulate as simulate
-from jaxftc.compile import jit as jit
+from jaxftc.compile import configure_xla as configure_xla
 from jaxftc.config import Config as Config
 from jaxftc.controller import State as State
 from jaxftc.defaults import default_gains as default_gains

@@ -14,9 +14,9 @@ import numpy as np
 from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer
 
-from jaxftc import checks, noise, reference, schemes
+from jaxftc import checks, noise, reference, schemes, stages
 from jaxftc.arm import chain, plant
-from jaxftc.compile import jit
+from jaxftc.compile import Kind, jit
 from jaxftc.config import Config
 from jaxftc.faults import inject
 from jaxftc.faults.kinds import Actuator, Fault, Sensor
@@ -60,7 +60,9 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
-    return (_one if jnp.ndim(scenario.id) == 0 else _many)(config, gains, scenario, key)
+    return _PROGRAMS[program_kind(config.engine, one_arm=jnp.ndim(scenario.id) == 0)](
+        stages.general(config), stages.as_data(config), gains, scenario, key
+    )
 
 
 def check(config: Config, gains: Gains, scenario: Scenario) -> None:
@@ -115,14 +117,20 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
 
 
 def advance(
-    config: Config, gains: Gains, scenario: Scenario, loop: Loop, t: Array, reading_error: Array
+    config: Config,
+    gains: Gains,
+    scenario: Scenario,
+    loop: Loop,
+    t: Array,
+    reading_error: Array,
+    on: stages.Stages | None = None,
 ) -> tuple[Loop, Trace]:
     """One tick of plant, faults and controller at t s; reading_error [n, ...] rad is the encoder's noise."""
     axes, robot = loop.q.ndim - 1, config.robot
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
     fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, reading_error)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
-    state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau))
+    state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
     fault, delivered = inject.deliver(fault_tau, fault, t, out.tau, limit)
@@ -149,10 +157,17 @@ def encoder_noise(config: Config, scenario: Scenario, key: Array) -> Array:
 
 
 def watch(
-    config: Config, gains: Gains, scenario: Scenario, key: Array, seen: Any, look: Callable[[Any, Trace], tuple[Any, Any]]
+    config: Config,
+    gains: Gains,
+    scenario: Scenario,
+    key: Array,
+    seen: Any,
+    look: Callable[[Any, Trace], tuple[Any, Any]],
+    on: stages.Stages | None = None,
 ) -> tuple[Any, Any]:
     """Run the loop while ``look(seen, tick) -> (seen, kept)`` sees every tick; the last ``seen``, and all ``kept`` stacked.
 
+    ``on`` says by data which stages of the cascade run: with it one program serves every observer and controller.
     ``tick`` is a ``Trace`` of one moment, [n, ...]. To be traced: this is what ``simulate`` and scores are made of.
     """
     loop = start(config, gains, scenario)
@@ -163,7 +178,7 @@ def watch(
     def body(carry: tuple[Loop, Any], k: Array) -> tuple[tuple[Loop, Any], Any]:
         loop, seen = carry
         drawn = checkpoint_name(scenario.noise * noise.normal(stream, k, config.n).astype(dtype), "noise")
-        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn)
+        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn, on)
         seen, kept = look(seen, tick)
         return (loop, seen), kept
 
@@ -173,12 +188,24 @@ def watch(
     return seen, kept
 
 
-def _simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
-    return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick))[1]
+def run_loop(config: Config, on: stages.Stages, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    """``simulate`` without its checks, to be traced; ``on`` says which stages of the cascade run."""
+    return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick), on)[1]
 
 
-_many = jit(_simulate, static_argnums=0)
-_one = jit(_simulate, static_argnums=0, one=True)
+def program_kind(engine: str, *, one_arm: bool = False) -> Kind:
+    """How a program of the closed loop is compiled."""
+    return "mjx" if engine == "mjx" else "one arm" if one_arm else "batch"
+
+
+def blank_trace() -> Trace:
+    """The structure of a trace, without numbers."""
+    out: Any = Output(*[0] * len(Output._fields))  # pyright: ignore[reportArgumentType]
+    return Trace(*[0] * (len(Trace._fields) - 1), out=out)  # pyright: ignore[reportArgumentType]
+
+
+_KINDS: tuple[Kind, ...] = ("batch", "one arm", "mjx")
+_PROGRAMS: dict[Kind, Any] = {kind: jit(run_loop, kind=kind, static_argnums=0) for kind in _KINDS}
 
 
 def _align(fault: Fault, axes: int) -> Fault:

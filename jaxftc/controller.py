@@ -18,6 +18,8 @@ from jaxftc.control.pending import Pending, commanded, holding, pack, rows
 from jaxftc.diagnosis import decide, residual, threshold
 from jaxftc.gains import Gains
 from jaxftc.observer import cascade
+from jaxftc.stages import Stages, either
+from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference
 
 
@@ -39,30 +41,40 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(cascade.init(config, gains, q), threshold.init(q), decide.init(q), pending, zero, q, zero)
 
 
-def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
-    """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1."""
+def step(
+    config: Config,
+    gains: Gains,
+    state: State,
+    reference: Reference,
+    measurement: Measurement,
+    stages: Stages | None = None,
+) -> tuple[State, Output]:
+    """One controller tick: pure, and differentiable in everything but the verdict. Algorithm 1.
+
+    ``stages`` are the config's unless they are given as data.
+    """
     robot = config.robot
+    on = stages_of(config) if stages is None else stages
 
     drive, qdd, believed = _commanded(config, state, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.drive(gains, state.observer, drive)  # line 1
     observer, seen = cascade.explain(  # lines 2 to 4, 7
-        config, gains, observer, measurement.q, believed, state.decide.doubt
+        config, gains, observer, measurement.q, believed, state.decide.doubt, on
     )
     at = chain.pose(robot, seen.q_hat)
     mass = plant.nominal_mass(robot, at)
     residuals = residual.generate(mass, seen.psi, seen.y, seen.y_hat)  # line 5
-    observer = cascade.adapt(config, gains, observer, seen, residuals.tau)
+    observer = cascade.adapt(gains, observer, seen, residuals.tau, on)
 
-    raw = config.control == "smc"
-    q = seen.y if raw else seen.q_hat
-    qd = surface.speed(gains.control.speed_weight, state.qd, qdd if raw else believed, state.q + seen.shift, q, config.dt)
+    q, acceleration = either(on.raw, (seen.y, qdd), (seen.q_hat, believed))
+    qd = surface.speed(gains.control.speed_weight, state.qd, acceleration, state.q + seen.shift, q, config.dt)
     sliding_surface = surface.surface(gains.control, q, qd, reference)
     fault = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _commanded
-    command = sliding.law(config, gains.control, sliding_surface, q, fault, reference)  # lines 10 to 12
-    tau = plant.nominal_torque(robot, chain.pose(robot, q) if raw else at, qd, command.qdd)
+    command = sliding.law(config, gains.control, sliding_surface, q, fault, reference, on)  # lines 10 to 12
+    tau = plant.nominal_torque(robot, at if on.raw is False else chain.pose(robot, q), qd, command.qdd)
     tau = tau + plant.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
 
-    judged = seen.b if config.observer == "ts" else residuals.q  # b is the cleaner one where there is one
+    judged = either(on.fuzzy, seen.b, residuals.q)  # b is the cleaner one where there is one
     real = residual.torque(mass, decide.trusted(state.decide, seen.psi))
     ahead = residual.torque(mass, decide.trusted(state.decide, gains.diagnosis.lead * seen.e))  # what psi has yet to take up
     thresholds, (s_tau, s_q) = threshold.step(gains.diagnosis, state.threshold, real + ahead, judged)  # line 6

@@ -9,8 +9,7 @@ is done for ``SEEDS`` encoder noises, the same for all three; a difference count
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -18,9 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import identify, metrics
+from jaxftc import identify, metrics, stages
+from jaxftc.arm.plant import ENGINES
 from jaxftc.claims import Claim, judge
-from jaxftc.closed_loop import Trace, simulate
+from jaxftc.closed_loop import Trace, blank_trace, check, program_kind, watch
 from jaxftc.compile import jit
 from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.faults.scenario import CONDITIONS, Scenario, paper_scenario, stack, trail
@@ -89,64 +89,64 @@ class Experiment(NamedTuple):
     claims: list[Claim]
 
 
-def run(config: Config, gains: Gains, key: Array, on_done: Callable[[], object] = lambda: None) -> Experiment:
-    """Run the whole experiment; ``on_done`` is called after each of the nine pairs of observer and controller.
+def run(config: Config, gains: Gains, key: Array) -> Experiment:
+    """Run the whole experiment: every pair, condition, factor and noise side by side in one program.
 
     Raises:
         ValueError: a run diverged.
     """
     pairs = [(observer, control) for observer in OBSERVERS for control in CONTROLS]
-    plain = _plain(config, gains)
-    swept = _with_sweep(config, gains, plain[0])
+    swept = [pair for pair in pairs if pair[0] == OBSERVERS[-1]]
+    plain, sweep = _plain(config), _sweep(config)
+    scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *[plain] * len(pairs), *[sweep] * len(swept))
+    runs = [(pair, len(plain.id)) for pair in pairs] + [(pair, len(sweep.id)) for pair in swept]
+    on = [stages.as_data(dataclasses.replace(config, observer=o, control=c)) for (o, c), _ in runs]  # pyright: ignore[reportArgumentType]
+    flags = stages.Stages(*(jnp.repeat(jnp.stack(f), np.array([count for _, count in runs])) for f in zip(*on, strict=True)))
+    threshold = np.ones(PLAIN)
+    threshold[-len(WRONG) :] = [factor for _, factor in WRONG]
+    factors = np.repeat(SWEEP, SEEDS * len(CONDITIONS))
+    scaled = _scaled(
+        gains,
+        switching=np.concatenate([np.ones(PLAIN * len(pairs)), np.tile(factors, len(swept))]),
+        threshold=np.concatenate([np.tile(threshold, len(pairs)), np.ones(len(factors) * len(swept))]),
+    )
+    check(config, scaled, scenarios)
+    kept, curve = _PROGRAMS[config.engine](stages.general(config), PLAIN * len(pairs), flags, scaled, scenarios, key)
 
-    def one(pair: tuple[str, str]) -> tuple[Trace, Array]:
-        variant = dataclasses.replace(config, observer=pair[0], control=pair[1])  # pyright: ignore[reportArgumentType]
-        scenarios, scaled = swept if pair[0] == OBSERVERS[-1] else plain
-        result = jax.block_until_ready(_pair(variant, scaled, scenarios, key))
-        on_done()
-        return result
-
-    with ThreadPoolExecutor(2) as pool:  # XLA compiles outside the interpreter lock
-        results = dict(zip(pairs, pool.map(one, pairs), strict=True))
-    traces = {pair: [metrics.columns(trace, c) for c in range(len(CONDITIONS))] for pair, (trace, _) in results.items()}
+    first = {pair: PLAIN * k for k, pair in enumerate(pairs)}
+    traces = {pair: [metrics.columns(kept, at + c) for c in range(len(CONDITIONS))] for pair, at in first.items()}
     rows = [
         Row(condition, *pair, **metrics.evaluate(config, traces[pair][c])._asdict())
         for c, condition in enumerate(CONDITIONS)
         for pair in pairs
     ]
-    shape = (2, len(SWEEP), SEEDS, len(CONDITIONS))
-    curves = {control: np.asarray(results[OBSERVERS[-1], control][1]).reshape(shape) for control in CONTROLS}
-    again, *wrong = (metrics.columns(results[LAST][0], c) for c in range(len(CONDITIONS), PLAIN))
+    shape = (2, len(swept), len(SWEEP), SEEDS, len(CONDITIONS))
+    curves = dict(zip(CONTROLS, np.moveaxis(np.asarray(curve).reshape(shape), 1, 0), strict=True))
+    again, *wrong = (metrics.columns(kept, first[LAST] + c) for c in range(len(CONDITIONS), PLAIN))
     arx = _arx(config, gains, traces[LAST][0], again)
     experiment = Experiment(rows, list(_comparisons(curves)), traces, wrong, curves, arx, [])
     return experiment._replace(claims=list(judge(config, experiment)))
 
 
-def _plain(config: Config, gains: Gains) -> tuple[Scenario, Gains]:
-    """The runs whose traces are kept, on a trailing axis, and their gains."""
+def _plain(config: Config) -> Scenario:
+    """The runs whose traces are kept, on a trailing axis."""
     kept = [*enumerate(CONDITIONS), (len(CONDITIONS), "healthy")]  # noise, condition
     kept += [(CONDITIONS.index(condition), condition) for condition, _ in WRONG]
-    scenarios = [paper_scenario(condition, config, scenario_id=noise) for noise, condition in kept]
-    return trail(stack(scenarios)), _scaled(gains, np.ones(PLAIN))
+    return trail(stack([paper_scenario(condition, config, scenario_id=noise) for noise, condition in kept]))
 
 
-def _with_sweep(config: Config, gains: Gains, plain: Scenario) -> tuple[Scenario, Gains]:
-    """The plain runs, then factor, seed and condition (fastest) on the same trailing axis, and gains scaled to match.
+def _sweep(config: Config) -> Scenario:
+    """Factor, seed and condition (fastest) on one trailing axis.
 
     The noise of a run depends on seed and condition, so that factors and controllers are compared on the same.
     """
     four = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
-    runs = jnp.arange(SEEDS * len(CONDITIONS), dtype=jnp.int32)
     many = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(SWEEP) * SEEDS, axis=-1), four)
-    many = many._replace(id=jnp.tile(100 + runs, len(SWEEP)))
-    both = jax.tree.map(lambda a, b: jnp.concatenate([a, b], axis=-1), plain, many)
-    return both, _scaled(gains, np.concatenate([np.ones(PLAIN), np.repeat(SWEEP, len(runs))]))
+    return many._replace(id=jnp.tile(100 + jnp.arange(SEEDS * len(CONDITIONS), dtype=jnp.int32), len(SWEEP)))
 
 
-def _scaled(gains: Gains, switching: np.ndarray) -> Gains:
-    """Gains of the runs: switching gains times a factor each, thresholds as given but for the last plain runs, WRONG's."""
-    threshold = np.ones_like(switching)
-    threshold[PLAIN - len(WRONG) : PLAIN] = [factor for _, factor in WRONG]
+def _scaled(gains: Gains, switching: np.ndarray, threshold: np.ndarray) -> Gains:
+    """Gains of the runs: switching gains and thresholds times a factor each."""
     blocks = {
         name: dataclasses.replace(block, **{gain: jnp.asarray(factor) * getattr(block, gain)[:, None] for gain in scaled})
         for name, block, factor, scaled in (
@@ -157,18 +157,29 @@ def _scaled(gains: Gains, switching: np.ndarray) -> Gains:
     return dataclasses.replace(gains, **blocks)
 
 
-def _pair(config: Config, gains: Gains, scenarios: Scenario, key: Array) -> tuple[Trace, Array]:
-    """Traces of the plain runs, and (chattering 1/s, tracking rms rad) [2, runs] of those behind them."""
-    trace = simulate(config, gains, scenarios, key)
+def _all(
+    config: Config, count: int, on: stages.Stages, gains: Gains, scenarios: Scenario, key: Array
+) -> tuple[Trace, Array]:
+    """Traces of the first ``count`` runs, and (chattering 1/s, tracking rms rad) [2, runs] of those behind them."""
     limit = config.robot.torque_limit
-    scale = jnp.asarray(np.where(np.isfinite(limit), limit, 1.0), trace.q.dtype)[:, None]
-    travel = (jnp.abs(jnp.diff(trace.out.tau, axis=0)).sum(0) / scale).mean(0) / (config.ticks * config.dt)
-    tracking = jnp.sqrt(((trace.q - trace.q_ref) ** 2).mean((0, 1)))
-    plain = jax.tree.map(lambda x: x if x.ndim == 1 else x[..., :PLAIN], trace)
-    return plain, jnp.stack([travel, tracking])[:, PLAIN:]
+    scale = jnp.asarray(np.where(np.isfinite(limit), limit, 1.0), gains.arx.xi_a.dtype)[:, None]
+
+    def look(seen: tuple[Array, Array, Array], tick: Trace) -> tuple[tuple[Array, Array, Array], Trace]:
+        tau, travel, square = seen
+        travel = travel + jnp.where(tick.t > 0, jnp.abs(tick.out.tau - tau) / scale, 0.0).mean(0)
+        square = square + ((tick.q - tick.q_ref) ** 2).mean(0)
+        return (tick.out.tau, travel, square), jax.tree.map(lambda x: x[..., :count] if x.ndim else x, tick)
+
+    zero = jnp.zeros((config.n, len(scenarios.id)), scale.dtype)
+    (_, travel, square), kept = watch(config, gains, scenarios, key, (zero, zero[0], zero[0]), look, on)
+    figures = jnp.stack([travel / (config.ticks * config.dt), jnp.sqrt(square / config.ticks)])
+    return kept, figures[:, count:]
 
 
-_pair = jit(_pair, static_argnums=0)
+_PROGRAMS = {
+    engine: jit(_all, kind=program_kind(engine), static_argnums=(0, 1), cached_as="paper", like=(blank_trace(), 0))
+    for engine in ENGINES
+}
 
 
 def _arx(config: Config, gains: Gains, learn: dict[str, np.ndarray], check: dict[str, np.ndarray]) -> Arx:

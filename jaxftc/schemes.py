@@ -18,6 +18,7 @@ from jaxftc.baselines import computed_torque, ekf, momentum
 from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
+from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
 
 ROOMS: dict[str, ModuleType] = {
@@ -41,8 +42,17 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     return ROOMS[config.scheme].init(config, align(gains, q.ndim - 1), q)
 
 
-def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
+def step(
+    config: Config,
+    gains: Gains,
+    state: Any,
+    reference: Reference,
+    measurement: Measurement,
+    stages: Stages | None = None,
+) -> tuple[Any, Output]:
     """One controller tick: pure, and differentiable in everything but the verdict.
+
+    ``stages`` tells the cascade by data which of its stages run, in place of the config's observer and control.
 
     Raises:
         ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``), or the state is
@@ -56,7 +66,8 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
         )
     check_gains(config, gains)
     reference, measurement = _signals(config, state.q, reference, measurement)
-    return room.step(config, align(gains, state.q.ndim - 1), state, reference, measurement)
+    choice = {} if stages is None or config.scheme != "cascade" else {"stages": stages}
+    return room.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **choice)
 
 
 def holding_torque(config: Config, q: Array) -> Array:

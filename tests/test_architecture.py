@@ -182,7 +182,7 @@ jax.config.update("jax_num_cpu_devices", jax.config.values["jax_num_cpu_devices"
 import jaxftc
 from benchmarks.arms import serial
 from jaxftc.arm.robot import compile_robot
-arm, run = compile_robot("arm", serial(2)), jaxftc.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
+arm, run = compile_robot("arm", serial(2)), jax.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
 for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engine)
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))
 """

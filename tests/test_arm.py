@@ -25,14 +25,14 @@ DT = 1e-3  # s
 QN = np.array([0, np.pi / 4, np.pi, 0, np.pi / 4, 0])  # rad, the pose at which the field quotes numbers
 STATES = 1000
 
-advance = jaxftc.jit(plant.advance, static_argnums=(0, 1, 6))
-forward = jaxftc.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
-inverse = jaxftc.jit(jaxftc.inverse_dynamics, static_argnums=0)
+advance = jax.jit(plant.advance, static_argnums=(0, 1, 6))
+forward = jax.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
+inverse = jax.jit(jaxftc.inverse_dynamics, static_argnums=0)
 angles = arrays(float, 6, elements=st.floats(-np.pi, np.pi))
 speeds = arrays(float, 6, elements=st.floats(-5, 5))
 
 
-@jaxftc.jit
+@jax.jit
 def mass_matrix(q):
     rows = plant.nominal_mass(jaxftc.puma560(), chain.pose(jaxftc.puma560(), q))
     return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
@@ -210,7 +210,7 @@ def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
     np.testing.assert_allclose(*matrices, rtol=1e-9, atol=1e-9)
 
 
-@jaxftc.jit
+@jax.jit
 def powers(q, qd, qdd):
     """(power into the links, rate of their kinetic energy) W, gravity and friction left out."""
     robot = jaxftc.puma560()
@@ -286,7 +286,7 @@ def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(arm)
         after = plant.advance(arm, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
         return sum((w * x).sum() for w, x in zip(weight, after, strict=True))
 
-    slopes = jaxftc.jit(jax.grad(cost, argnums=(1, 2, 3, 4)), static_argnums=0)
+    slopes = jax.jit(jax.grad(cost, argnums=(1, 2, 3, 4)), static_argnums=0)
     by_chain, by_mjx = (slopes(engine, random_plants(8, arm.n), q, qd, tau) for engine in ("chain", "mjx"))
     for name, mine, theirs in zip(
         (*jaxftc.Plant._fields, "q", "qd", "tau"), jax.tree.leaves(by_chain), jax.tree.leaves(by_mjx), strict=True

@@ -102,7 +102,7 @@ def test_a_tick_uses_no_gain_that_is_idle(scheme):
             (jnp.where(jnp.isfinite(leaf), leaf, 0.0) ** 2).sum() for leaf in leaves
         )  # no threshold is an infinite one
 
-    slopes = jaxftc.jit(jax.grad(cost))(gains)
+    slopes = jax.jit(jax.grad(cost))(gains)
     names = ["".join(str(key) for key in path)[1:] for path, _ in jax.tree_util.tree_leaves_with_path(gains)]
     flat = {name for name, slope in zip(names, jax.tree.leaves(slopes), strict=True) if not np.any(slope)}
     assert flat == transform.idle(config)
@@ -221,7 +221,7 @@ def test_the_filter_of_a_linear_arm_is_the_textbooks():
         return state, (state.belief.mean, out)
 
     told = hold, jaxftc.Measurement(jnp.asarray(y)[:, None], jnp.asarray(tau)[:, None])
-    means, out = jaxftc.jit(lambda: jax.lax.scan(body, jaxftc.init(config, gains, jnp.asarray([0.3])), told)[1])()
+    means, out = jax.jit(lambda: jax.lax.scan(body, jaxftc.init(config, gains, jnp.asarray([0.3])), told)[1])()
     expected = textbook(config, gains, 0.3, tau, y)
     np.testing.assert_allclose(means, expected, rtol=1e-9, atol=1e-10)
     for name, column in (("q_hat", 0), ("fault_tau_hat", 2), ("fault_q_hat", 3)):
@@ -235,7 +235,7 @@ def test_the_filters_jacobian_is_that_of_its_mean():
     random = np.random.default_rng(2)
     x, v = (jnp.asarray(random.normal(size=4 * config.n)) for _ in range(2))
     tau = jnp.asarray(20 * random.normal(size=config.n))
-    predict = jaxftc.jit(lambda mean, cov: ekf.predict(config, gains, ekf.Belief(mean, cov), tau))
+    predict = jax.jit(lambda mean, cov: ekf.predict(config, gains, ekf.Belief(mean, cov), tau))
     step, none = 1e-6, jnp.zeros((4 * config.n, 4 * config.n))
     ahead, behind = (predict(x + side * step * v, none) for side in (1, -1))
     pushed = (ahead.mean - behind.mean) / (2 * step)
@@ -259,7 +259,7 @@ def test_the_filters_covariance_stays_positive_in_single_precision(paper_arm):
         first = schemes.holding_torque(config, scenario.q_start)
         told = desired, jaxftc.Measurement(trace.y, jnp.vstack([first[None], trace.out.tau[:-1]]))
         start = jaxftc.init(config, gains, scenario.q_start)
-        covs, out = jaxftc.jit(lambda: jax.lax.scan(body, start, told)[1])()
+        covs, out = jax.jit(lambda: jax.lax.scan(body, start, told)[1])()
     assert covs.dtype == jnp.float32 and np.isfinite(covs).all()
     covs = np.asarray(covs[9::10], np.float64)
     np.testing.assert_array_equal(covs, covs.swapaxes(1, 2))
@@ -313,7 +313,7 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
     config = of(SMALL, scheme)
     gains, q = jaxftc.default_gains(config), jnp.linspace(-1.0, 1.0, config.n)
     zero = jnp.zeros_like(q)
-    state, tick = jaxftc.init(config, gains, q), jaxftc.jit(jaxftc.step, static_argnums=0)
+    state, tick = jaxftc.init(config, gains, q), jax.jit(jaxftc.step, static_argnums=0)
     measurement = jaxftc.Measurement(q, state.pending.tau)
     held = tick(config, gains, state, jaxftc.Reference(q, zero, zero), measurement)
     lost = tick(config, gains, state, jaxftc.Reference(q.at[2].set(jnp.nan), zero, zero), measurement)

@@ -238,8 +238,8 @@ QUICK = [few for few in FEW if few.name != "ekf"]  # the filter's gradient and i
 @each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])
 def test_trailing_axes_are_vmap_are_a_loop(block):
     tick, gains = tick_of(block)
-    tick = jaxftc.jit(tick)
-    mapped = jaxftc.jit(jax.vmap(tick, in_axes=(None, -1, *[-1] * len(block.sizes)), out_axes=-1))
+    tick = jax.jit(tick)
+    mapped = jax.jit(jax.vmap(tick, in_axes=(None, -1, *[-1] * len(block.sizes)), out_axes=-1))
     signals = draw(block, (5,), 3)
     start = begin(block, gains, signals[0][0])
     together, by_map = start, start
@@ -266,7 +266,7 @@ def test_gradients_are_finite(block):
         leaves = jax.tree.leaves(tick(gains, state, *signals))
         return sum((leaf**2).sum() for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))
 
-    slopes = jaxftc.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, last)
+    slopes = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, last)
     assert all_finite(slopes)
     moved = [bool(jnp.any(slope != 0)) for slope in jax.tree.leaves(slopes)]
     assert any(moved), "a cost that depends on nothing tests nothing"
@@ -350,7 +350,7 @@ def log(config) -> Log:
     return Log(desired, jaxftc.Measurement(trace.y, jnp.vstack([first[None], trace.out.tau[:-1]])))
 
 
-@functools.partial(jaxftc.jit, static_argnums=0)
+@functools.partial(jax.jit, static_argnums=0)
 def diagnose(config, gains, log) -> jaxftc.Output:
     """Outputs [T, ...] of the tick alone."""
 
@@ -427,4 +427,4 @@ def test_gradients_pass_missing_values(config, log, observer):
         out = diagnose(config, gains, gap)
         return ((out.q_hat - gap.reference.q) ** 2).sum() + (out.fault_tau_hat**2).sum()
 
-    assert all_finite(jaxftc.jit(jax.grad(cost))(jaxftc.default_gains(config)))
+    assert all_finite(jax.jit(jax.grad(cost))(jaxftc.default_gains(config)))

@@ -54,7 +54,7 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
     return np.array(verdicts)
 
 
-_decide = jaxftc.jit(decide.step, static_argnums=0)
+_decide = jax.jit(decide.step, static_argnums=0)
 
 
 @pytest.fixture(scope="module")

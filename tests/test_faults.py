@@ -207,5 +207,5 @@ def test_no_random_key_is_used_twice(preset):
     config = jaxftc.Config(three_hinges(), engine="chain", duration=1.1)
     with jax.debug_key_reuse(True):
         with pytest.raises(jax.errors.KeyReuseError):
-            jaxftc.jit(lambda key: jax.random.normal(key) + jax.random.uniform(key))(jax.random.key(0))
+            jax.jit(lambda key: jax.random.normal(key) + jax.random.uniform(key))(jax.random.key(0))
         jaxftc.sample_scenarios(jax.random.key(0), 2, preset, config=config)

@@ -124,7 +124,7 @@ def programs(case: Case) -> Programs:
     def push(theta, direction, scenario):
         return jax.jvp(lambda t: cost(t, scenario), (theta,), (direction,))
 
-    return Programs(jaxftc.jit(cost), jaxftc.jit(jax.grad(cost)), jaxftc.jit(push), slices)
+    return Programs(jax.jit(cost), jax.jit(jax.grad(cost)), jax.jit(push), slices)
 
 
 def length(run: Programs) -> int:
@@ -253,7 +253,7 @@ def tick_slopes(sign: str):
         leaves = jax.tree.leaves(jaxftc.step(config, gains, state, reference, measurement))
         return sum((leaf**2).sum() for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))
 
-    return jaxftc.jit(jax.grad(cost, argnums=(0, 1, 2, 3)))
+    return jax.jit(jax.grad(cost, argnums=(0, 1, 2, 3)))
 
 
 @pytest.mark.parametrize("sign", ["smooth", "hard"])

@@ -330,7 +330,7 @@ def recurse(state, phi, y, forgetting=1.0, frozen=None):
     return state, kappa[-1]
 
 
-recurse = jaxftc.jit(recurse)
+recurse = jax.jit(recurse)
 
 
 @pytest.fixture(scope="module")

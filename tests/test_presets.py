@@ -150,7 +150,7 @@ def test_drawing_is_traceable_and_an_equal_preset_does_not_compile_again(config,
         traces.append(ids.shape)
         return draw_all(preset, config, key, ids)
 
-    program = jaxftc.jit(chunk, static_argnums=(0, 1))
+    program = jax.jit(chunk, static_argnums=(0, 1))
     key = jax.random.key(3)
     preset = load_preset(name)
     again = dataclasses.replace(preset)
@@ -408,7 +408,7 @@ def _signals(config, gains, scenarios, key):
     return {"verdict": out.verdict, "s_tau": jnp.abs(out.statistic_tau).max(0), "s_q": jnp.abs(out.statistic_q).max(0)}
 
 
-_observe = jaxftc.jit(_signals, static_argnums=0)
+_observe = jax.jit(_signals, static_argnums=0)
 
 
 def calibrated(config, dtype):

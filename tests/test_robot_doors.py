@@ -103,7 +103,7 @@ ONE_HINGE = """
 ARMS = {"two links": ("arm.xml", TWO_LINKS), "seven hinges": ("arm.xml", SEVEN_HINGES), "urdf": ("arm.urdf", URDF)}
 ARMS["one hinge"] = ("arm.xml", ONE_HINGE)
 
-accelerations = jaxftc.jit(plant.acceleration, static_argnums=(0, 1))
+accelerations = jax.jit(plant.acceleration, static_argnums=(0, 1))
 
 
 def load(folder: Path, text: str, name: str = "arm.xml") -> jaxftc.Robot:
@@ -367,7 +367,7 @@ def test_step_refuses_wrong_shapes_also_under_jit(config, signal, shape):
     signals = {"reference": jaxftc.Reference(six, six, six), "measurement": jaxftc.Measurement(six, six)}
     kind, field = signal.split(".")
     signals[kind] = signals[kind]._replace(**{field: jnp.zeros(shape)})
-    for tick in (jaxftc.step, jaxftc.jit(jaxftc.step, static_argnums=0)):
+    for tick in (jaxftc.step, jax.jit(jaxftc.step, static_argnums=0)):
         if shape == (6, 3):
             text = f"{signal} must have the shape of state.q, [6], got [6, 3]; give every signal the same scenario axes"
         else:

@@ -21,7 +21,7 @@ def loop(config):
 
 def test_it_is_step_bit_for_bit_in_shape_and_to_rounding_in_value(config, loop):
     tick, gains, reference, angles = loop
-    step = jaxftc.jit(jaxftc.step, static_argnums=0)
+    step = jax.jit(jaxftc.step, static_argnums=0)
     packed, plain = tick.init(np.zeros(config.n)), jaxftc.init(config, gains, np.zeros(config.n))
     tau = np.zeros(config.n)
     for reading in angles:

@@ -1,6 +1,7 @@
 """The tuning loop: it finds better gains, goes on where it was stopped, undoes what runs away, and says what is wrong."""
 
 import dataclasses
+import types
 
 import jax
 import jax.numpy as jnp
@@ -144,16 +145,19 @@ def test_what_runs_away_is_undone_and_told(arm, scenarios):
 
 
 class Plain:
-    size, origin = 1, ""
+    size, free, layout = 1, (), types.SimpleNamespace(leaves=())
+
+    def padded(self, theta):
+        return theta
 
 
 class Constant:
     """A problem whose slope is 1 everywhere."""
 
-    key, origin, alone = jax.random.key(0), None, False
+    key, kind, cached_as, program_kind = jax.random.key(0), ("constant",), None, "batch"
 
-    def slope(self, space, mode):
-        return lambda key, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))
+    def slope_of(self, layout, mode, size):
+        return lambda key, free, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))
 
 
 def test_after_a_restart_the_rate_goes_on_from_where_it_was():
@@ -196,7 +200,7 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
 
     problem = Problem(arm, {"spiked": Term(1.0, spiked)}, jax.random.key(1), 4)
     space = methods.transform.space(arm, jaxftc.default_gains(arm), ["control.lam"], ["control"])
-    slope = jaxftc.jit(problem.slope(space, "reverse"))
+    slope = jax.jit(problem.slope(space, "reverse"))
     batch = jaxftc.trail(take(scenarios, slice(4)))
     _, slopes = slope(problem.key, jnp.zeros(1), jnp.ones(()), batch, jnp.full((1, 4), np.inf))
     np.testing.assert_allclose(slopes[0], [0.5, 1.0, 0.0, 0.5], rtol=1e-6)

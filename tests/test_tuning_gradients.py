@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import compile as compiling
 from jaxftc.faults.scenario import stack, trail
 from tests.arms import three_hinges
 from tests.test_gradients import base_gains, faulty
@@ -47,11 +46,11 @@ def setup():
     def slope(mode):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(problem, "CLIP", np.inf)
-            terms, found = compiling.jit(whole.slope(space, mode))(whole.key, zero, one, scenarios, low)
+            terms, found = jax.jit(whole.slope(space, mode))(whole.key, zero, one, scenarios, low)
         assert np.isfinite(terms).all() and (np.asarray(terms).mean(1) > 0).all(), "a term that is 0 has no slope to check"
         return np.asarray(found).mean(1)
 
-    run = compiling.jit(whole.at(space))
+    run = jax.jit(whole.at(space))
 
     def loss(theta):
         points = jnp.broadcast_to(jnp.asarray(theta)[:, None], (space.size, BATCH))

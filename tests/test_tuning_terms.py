@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import compile as compiling
 from jaxftc import metrics
 from jaxftc.faults.scenario import take, trail
 from jaxftc.observer import stability
@@ -147,7 +146,7 @@ def test_a_term_of_gains_alone_counts_as_it_would_in_every_scenario(arm, run):
     for gains_only in (False, True):
         objective = {"away": Term(3.0, away, gains_only), "tracking": OBJECTIVE["tracking"]}
         problem = Problem(arm, objective, jax.random.key(1), 4)
-        slope = compiling.jit(problem.slope(space, "reverse"))
+        slope = jax.jit(problem.slope(space, "reverse"))
         terms, slopes = slope(problem.key, jnp.full(space.size, 0.1), jnp.ones(()), trail(scenarios), start)
         found.append([*terms, slopes, problem.scores(run.gains, scenarios)])
         np.testing.assert_allclose(terms[0], 0.04, rtol=1e-9)

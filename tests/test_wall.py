@@ -72,7 +72,7 @@ def told(config, scenario: jaxftc.Scenario, gains, trace: jaxftc.Trace) -> tuple
 def replay(config, gains, healthy):
     """Outputs [T, ...] of the tick alone, on what it was told: one program for every log."""
 
-    @jaxftc.jit
+    @jax.jit
     def outputs(reference, measurement):
         def body(state, x):
             return jaxftc.step(config, gains, state, *x)
@@ -153,7 +153,7 @@ def test_the_wall_stands_for_every_scheme(config, gains, healthy, scheme):
     trace = jax.tree.map(np.asarray, jaxftc.simulate(config, gains, ill, jax.random.key(KEY)))
     reference, measurement = told(config, ill, gains, trace)
 
-    @jaxftc.jit
+    @jax.jit
     def replay(reference, measurement):
         start = jaxftc.init(config, gains, healthy.q_start)
         return jax.lax.scan(lambda state, x: jaxftc.step(config, gains, state, *x), start, (reference, measurement))[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,8 @@ import optax
 from jaxftc.compile import jit
 from jaxftc.faults.scenario import Scenario
 from jaxftc.types import Array
-from tuning.problem import Problem
-from tuning.transform import REACH, Space
+from tuning.problem import Problem, shared
+from tuning.transform import REACH, Free, Space
 
 OPTIMIZERS: dict[str, Callable[..., optax.GradientTransformation]] = {
     "adam": functools.partial(optax.adam, b2=0.99),
@@ -29,7 +29,7 @@ LAST_RATE = 0.1  # of the learning rate
 class State(NamedTuple):
     """What the next step needs."""
 
-    theta: Array  # [size]
+    theta: Array  # [layout.size] of the space; entries behind the space's size stay 0
     optimizer: optax.OptState
     step: Array  # [] steps done, recoveries included: the schedule goes on after one
     rate: Array  # [] 1, factor on the learning rate; falls with every recovery
@@ -51,32 +51,40 @@ class Descent:
 
     def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: str, rate: float, steps: int) -> None:
         warm = max(1, round(WARM_UP * steps))
-        schedule = optax.warmup_cosine_decay_schedule(rate / 3, rate, warm, max(steps, warm + 1), LAST_RATE * rate)
+        self._schedule = optax.warmup_cosine_decay_schedule(rate / 3, rate, warm, max(steps, warm + 1), LAST_RATE * rate)
         self.optimizer = OPTIMIZERS[optimizer](1.0)  # the rate comes after it: it must outlast a restart
-        slope = problem.slope(space, mode)
+        slope = problem.slope_of(space.layout, mode, space.size)
 
-        def one(key: Array, state: State, x: tuple[Array, Scenario, Array]) -> tuple[State, Steps]:
-            terms, slopes = slope(key, state.theta, *x)
-            gradient = slopes.mean(1)
-            change, inner = self.optimizer.update(gradient, state.optimizer, state.theta)
-            rate = state.rate * schedule(state.step)
-            theta = jnp.clip(state.theta + rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
-            return State(theta, inner, state.step + 1, state.rate), Steps(terms.mean(1), optax.global_norm(gradient))
+        def gradient_steps(key: Array, free: Free, state: State, xs: Any) -> tuple[State, Steps]:
+            def one(state: State, x: tuple[Array, Array, Scenario, Array]) -> tuple[State, Steps]:
+                rate, *rest = x
+                terms, slopes = slope(key, free, state.theta, *rest)
+                gradient = slopes.mean(1)
+                change, inner = self.optimizer.update(gradient, state.optimizer, state.theta)
+                theta = jnp.clip(state.theta + state.rate * rate * change, -REACH, REACH)  # pyright: ignore[reportOperatorIssue]
+                return State(theta, inner, state.step + 1, state.rate), Steps(terms.mean(1), optax.global_norm(gradient))
 
-        self._key = problem.key
-        origin = None if problem.origin is None else f"{problem.origin} {space.origin} {mode} {optimizer} {rate} {steps}"
-        self._round = jit(
-            lambda key, state, xs: jax.lax.scan(functools.partial(one, key), state, xs), origin=origin, alone=problem.alone
+            return jax.lax.scan(one, state, xs)
+
+        self._key, self._space = problem.key, space
+        name = None if problem.cached_as is None else f"{problem.cached_as} {mode} {optimizer} {space.layout.leaves}"
+        like: Any = self.init(np.zeros(space.size)), Steps(0, 0)  # pyright: ignore[reportArgumentType]
+        kind = "steps", *problem.kind, len(space.layout.leaves), mode, optimizer, mode == "reverse" or space.size
+        self._round = shared(
+            kind,
+            lambda: jit(gradient_steps, kind=problem.program_kind, cached_as=name if mode == "reverse" else None, like=like),
         )
 
     def init(self, theta: np.ndarray, step: int = 0, rate: float = 1.0) -> State:
         """Start, or start again, from theta [size]."""
-        point = jnp.asarray(theta, float)
+        point = self._space.padded(jnp.asarray(theta, float))
         state = State(point, self.optimizer.init(point), jnp.asarray(step), jnp.asarray(rate, point.dtype))
         return jax.tree.map(np.asarray, state)
 
     def round(self, state: State, widen: np.ndarray, scenarios: Scenario, start: np.ndarray) -> tuple[State, Steps]:
         """``len(widen)`` steps; scenarios [steps, ..., B] and the terms of the starting gains on them [steps, terms, B]."""
-        dtype = state.theta.dtype
-        done = self._round(self._key, state, (jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype)))
+        dtype, step = state.theta.dtype, int(state.step)
+        rates = np.array([self._schedule(step + k) for k in range(len(widen))])
+        xs = (jnp.asarray(rates, dtype), jnp.asarray(widen, dtype), scenarios, jnp.asarray(start, dtype))
+        done = self._round(self._key, self._space.free, state, xs)
         return jax.tree.map(np.asarray, done)  # off the devices: as it came, so that the next round is the same program

@@ -92,7 +92,7 @@ class _Descend:
         total = max(1, settings.budget // step_cost) if finite else settings.steps
         self.steps = round_length(total)
         self.rounds, self.cost = total // self.steps, self.steps * (step_cost + settings.batch)
-        self.batches, self.settings, self.total = batches, settings, total
+        self.batches, self.settings, self.total, self.size = batches, settings, total, space.size
         self.descent = Descent(
             problem,
             space,
@@ -105,7 +105,7 @@ class _Descend:
 
     @property
     def theta(self) -> np.ndarray:
-        return np.asarray(self.state.theta)
+        return np.asarray(self.state.theta)[: self.size]
 
     def round(self, index: int) -> tuple[np.ndarray, float]:
         steps = range(index * self.steps, (index + 1) * self.steps)

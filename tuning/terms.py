@@ -20,6 +20,7 @@ from jaxftc.faults.scenario import Scenario
 from jaxftc.gains import Gains
 from jaxftc.metrics import SETTLE
 from jaxftc.observer import stability as poles
+from jaxftc.stages import Stages
 from jaxftc.types import Array
 
 SMALL_TORQUE = 0.05  # of the torque limit: the smallest actuator fault of the preset ``standard``
@@ -39,6 +40,7 @@ class Run(NamedTuple):
     gains: Gains
     scenario: Scenario = None  # pyright: ignore[reportAssignmentType] # trailing axes; None for a term of gains alone
     trace: Trace = None  # pyright: ignore[reportAssignmentType] # None for a term of gains alone
+    stages: Stages | None = None  # what runs, where one program serves every observer and controller; else the config's
 
 
 Function = Callable[[Run], Array]
@@ -163,7 +165,8 @@ def stability(run: Run) -> Array:
     """
     if run.config.input != "rigid_body":
         return jnp.zeros(())
-    return jax.nn.relu((poles.smooth_radius(run.config, run.gains) - SLOWEST) / 1e-3).mean(0)
+    fuzzy = None if run.stages is None else run.stages.fuzzy
+    return jax.nn.relu((poles.smooth_radius(run.config, run.gains, fuzzy) - SLOWEST) / 1e-3).mean(0)
 
 
 def _so_far(x: Array) -> Array:

@@ -24,12 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import arx, checks
+from jaxftc import arx, checks, stages
 from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.identify.readout import exact
+from jaxftc.stages import Stages
 from jaxftc.types import Array
 
 REACH = math.log(20.0)
@@ -108,16 +109,80 @@ def _expand(config: Config, names: Iterable[str]) -> set[str]:
     return found
 
 
-class _Leaf(NamedTuple):
-    """One free gain: its place in theta and where it started."""
+class Leaf(NamedTuple):
+    """One gain's place in a vector."""
 
     block: str
     name: str
-    part: slice  # of theta
-    shape: tuple[int, ...]  # of its part of theta; one number for a shared gain
+    part: slice
+    shape: tuple[int, ...]
     spec: Spec
-    start: np.ndarray  # in the coordinates of ``_to_free``
-    gap: float  # mean gap of set centres at the start
+
+    @property
+    def path(self) -> str:
+        """Block and name."""
+        return f"{self.block}.{self.name}"
+
+
+class Layout(NamedTuple):
+    """All gains that can be tuned with a config, as one vector; the poles only where they are to move."""
+
+    config: Config
+    leaves: tuple[Leaf, ...]
+    size: int
+
+
+class Free(NamedTuple):
+    """Which entries of a layout are free, and where they start: data, so that one program serves every choice of gains."""
+
+    start: Gains
+    coordinates: Array  # [layout.size] free coordinates of the start, see ``_to_free``
+    spread: Array  # [layout.size, layout.size] 1 where an entry of theta (row) moves one of the layout (column), else 0
+    gaps: Array  # [leaves] mean gap of set centres at the start, 1 for other gains
+    stages: Stages  # which observer and controller run
+
+
+def gains_at(layout: Layout, free: Free, theta: Array, widen: Array | float = 1.0) -> Gains:
+    """Gains at theta [layout.size], or at [.., scenarios] a set a scenario; differentiable."""
+    return gains_of(layout, free, spread(free, theta), widen)
+
+
+def spread(free: Free, theta: Array) -> Array:
+    """What theta [layout.size, ...] moves each entry of the layout by."""
+    return jnp.tensordot(free.spread, theta, axes=(0, 0), precision=jax.lax.Precision.HIGHEST)
+
+
+def gather(free: Free, slopes: Array) -> Array:
+    """Slopes by the entries of the layout [layout.size, ...] as slopes by theta: the transpose of ``spread``."""
+    return jnp.tensordot(free.spread, slopes, axes=(1, 0), precision=jax.lax.Precision.HIGHEST)
+
+
+def gains_of(layout: Layout, free: Free, moves: Array, widen: Array | float = 1.0) -> Gains:
+    """Gains whose free coordinates are moved by [layout.size], or by [.., scenarios], a set a scenario; differentiable.
+
+    ``widen`` is a factor on the widths of both smooth signs, by which tuning can begin with a smoother loop.
+    """
+    move = functools.partial(_moved, layout, free)
+    moved = move(moves) if moves.ndim == 1 else jax.vmap(move, in_axes=1, out_axes=-1)(moves)
+    blocks = {block: dataclasses.replace(getattr(free.start, block), **moved.get(block, {})) for block in BLOCKS}
+    return widened(Gains(**blocks), widen)
+
+
+def _moved(layout: Layout, free: Free, moves: Array) -> dict[str, dict[str, Array]]:
+    """The gains of a layout by block and name; what is not free stays as it started, to the last bit."""
+    can_move, coordinates = free.spread.sum(0) > 0, free.coordinates + moves
+    moved: dict[str, dict[str, Array]] = {}
+    for leaf, gap in zip(layout.leaves, free.gaps, strict=True):
+        value = _from_free(leaf, coordinates[leaf.part].reshape(leaf.shape), gap).astype(moves.dtype)
+        own = getattr(getattr(free.start, leaf.block), leaf.name)
+        if leaf.path == POLES:  # free if they are there; the read-out follows
+            kappa_a, kappa_b = arx.exact_kappa(value, layout.config.order_a, layout.config.order_b, layout.config.dt)
+            follow = {"xi_b": value, "kappa_a": kappa_a, "kappa_b": kappa_b[:, None], "offset": 0.0 * value}
+            moved.setdefault("arx", {}).update(follow)
+        else:
+            value = jnp.where(can_move[leaf.part].reshape(leaf.shape), value, own)
+        moved.setdefault(leaf.block, {})[leaf.name] = value
+    return moved
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -126,47 +191,27 @@ class Space:
 
     config: Config
     start: Gains
-    leaves: tuple[_Leaf, ...]
+    leaves: tuple[Leaf, ...]  # the free ones, by their parts of theta; one number for a shared gain
     size: int
+    layout: Layout
+    free: Free
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the free gains."""
-        return tuple(f"{leaf.block}.{leaf.name}" for leaf in self.leaves)
+        return tuple(leaf.path for leaf in self.leaves)
 
-    @property
-    def origin(self) -> str:
-        """All of it but the config, as text."""
-        start = {
-            jax.tree_util.keystr(path): np.asarray(leaf).tolist() for path, leaf in jax.tree.leaves_with_path(self.start)
-        }
-        return f"{start} {[(leaf.block, leaf.name, leaf.shape) for leaf in self.leaves]}"
+    def padded(self, theta: Array) -> Array:
+        """Theta [size, ...] with zeros behind, [layout.size, ...]."""
+        return jnp.pad(theta, [(0, self.layout.size - self.size), *[(0, 0)] * (theta.ndim - 1)])
 
     def gains(self, theta: Array, widen: Array | float = 1.0) -> Gains:
-        """Gains at theta [size], or at [size, scenarios] one set a scenario on a trailing axis; differentiable.
-
-        ``widen`` is a factor on the widths of both smooth signs, by which tuning can begin with a smoother loop.
-        """
-        move = self._moved if theta.ndim == 1 else jax.vmap(self._moved, in_axes=1, out_axes=-1)
-        moved = move(theta)
-        blocks = {block: dataclasses.replace(getattr(self.start, block), **moved.get(block, {})) for block in BLOCKS}
-        return widened(Gains(**blocks), widen)
+        """Gains at theta [size], or at [size, scenarios] one set a scenario on a trailing axis; differentiable."""
+        return gains_at(self.layout, self.free, self.padded(theta), widen)
 
     @functools.cached_property
     def _compiled(self) -> Any:
         return jit(self.gains)
-
-    def _moved(self, theta: Array) -> dict[str, dict[str, Array]]:
-        """The gains that theta moves, by block and name."""
-        moved: dict[str, dict[str, Array]] = {}
-        for leaf in self.leaves:
-            free = jnp.asarray(leaf.start, theta.dtype) + theta[leaf.part].reshape(leaf.shape)
-            value = _from_free(leaf, free).astype(theta.dtype)
-            moved.setdefault(leaf.block, {})[leaf.name] = value
-            if f"{leaf.block}.{leaf.name}" == POLES:
-                kappa_a, kappa_b = arx.exact_kappa(value, self.config.order_a, self.config.order_b, self.config.dt)
-                moved["arx"] |= {"xi_b": value, "kappa_a": kappa_a, "kappa_b": kappa_b[:, None], "offset": 0.0 * value}
-        return moved
 
     def deploy(self, theta: np.ndarray, widen: float = 1.0) -> Gains:
         """Gains at theta [size] as they are saved: checked, the start itself where nothing moved, the read-out rounded."""
@@ -198,20 +243,36 @@ def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[st
         raise ValueError("tuning starts from one set of gains; these have scenario axes of their own")
     if POLES in free and not np.array_equal(start.arx.xi_a, start.arx.xi_b):
         raise ValueError(f"{POLES} can be tuned where both banks have the same pole, got arx.xi_a and arx.xi_b that differ")
-    leaves: list[_Leaf] = []
+    layout = layout_of(config, poles=POLES in free)
+    leaves, moved, coordinates, gaps = [], np.zeros((layout.size, layout.size)), np.zeros(layout.size), []
     size = 0
+    for leaf in layout.leaves:
+        value = np.asarray(getattr(getattr(start, leaf.block), leaf.name), float)
+        gaps.append(float(np.diff(value).mean()) if leaf.name in INCREASING else 1.0)
+        smallest = SMALLEST.get(leaf.path, 1e-3 * float(np.max(leaf.spec.default)))
+        coordinates[leaf.part] = _to_free(leaf.name, leaf.spec, value, gaps[-1], smallest).ravel()
+        if leaf.path in free:
+            shape = (1,) if leaf.path in shared and leaf.spec.axes == ("n",) else leaf.shape
+            part = slice(size, size + math.prod(shape))
+            moved[part, leaf.part] = np.ones(leaf.shape) if shape == (1,) else np.eye(math.prod(shape))
+            leaves.append(leaf._replace(part=part, shape=shape))
+            size = part.stop
+    at, moves, gap = (jnp.asarray(x, start.arx.xi_a.dtype) for x in (coordinates, moved, gaps))
+    return Space(config, start, tuple(leaves), size, layout, Free(start, at, moves, gap, stages.as_data(config)))
+
+
+def layout_of(config: Config, *, poles: bool) -> Layout:
+    """Every gain that some observer or controller of the scheme uses, so that all of them have one layout."""
+    config = stages.general(config)
+    unused = idle(config) - {"control.alpha_sm"}
+    leaves, size = [], 0
     for block, name, spec in specs():
         path = f"{block}.{name}"
-        if path not in free:
-            continue
-        value = np.asarray(getattr(getattr(start, block), name), float)
-        gap = float(np.diff(value).mean()) if name in INCREASING else 1.0
-        at = _to_free(name, spec, value, gap, SMALLEST.get(path, 1e-3 * float(np.max(spec.default))))
-        shape = (1,) * at.ndim if path in shared and spec.axes == ("n",) else shape_of(config, spec)
-        count = math.prod(shape)
-        leaves.append(_Leaf(block, name, slice(size, size + count), shape, spec, at, gap))
-        size += count
-    return Space(config, start, tuple(leaves), size)
+        if poles if path == POLES else block != "arx" and path not in unused:
+            shape = shape_of(config, spec)
+            leaves.append(Leaf(block, name, slice(size, size + math.prod(shape)), shape, spec))
+            size += math.prod(shape)
+    return Layout(config, tuple(leaves), size)
 
 
 def _bounds(name: str, spec: Spec) -> tuple[float, float]:
@@ -230,11 +291,11 @@ def _to_free(name: str, spec: Spec, value: np.ndarray, gap: float, smallest: flo
     return np.log(place / (1 - place))
 
 
-def _from_free(leaf: _Leaf, free: Array) -> Array:
+def _from_free(leaf: Leaf, free: Array, gap: Array) -> Array:
     """The gain at free coordinates; inverse of ``_to_free`` inside the limits."""
     low, high = _bounds(leaf.name, leaf.spec)
     if leaf.name in INCREASING:
-        first = leaf.gap * free[:1]
+        first = gap * free[:1]
         return jnp.concatenate([first, first + jnp.cumsum(jnp.exp(free[1:]))])
     if math.isinf(high):
         return low + jnp.exp(free)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import gc
 import json
 import os
 import sys
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from jaxftc.gains import Gains
 
 MARK = ".jaxftc"  # in a folder of results: the command that made it
-SEVERAL_RESULTS = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"  # of a loop
+MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
 
 
 @dataclasses.dataclass
@@ -50,30 +52,34 @@ def say(options: Options, text: str = "") -> None:
 
 
 def prepare(options: Options, *, many: bool = False, devices: bool = False) -> None:
-    """Settings of JAX that a command may make: the persistent compilation cache, and XLA's log.
+    """Settings that a command may make of its process: XLA's flags and log, the compilation cache, the garbage collector.
 
-    ``many`` is for commands that run many scenarios side by side: it lets a loop on the CPU have several results, by a flag
-    of XLA's that no compile option reaches. Programs for single arms take longer with it. ``devices`` makes each core a
-    device, for commands that spread one program over them.
+    ``many`` is for commands that run many scenarios side by side: ``configure_xla``. Programs for single arms take longer to
+    compile with it. ``devices`` makes each core a device, for commands that spread one program over them.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    flags = os.environ.get("XLA_FLAGS", "")  # read when JAX starts, so not to be changed later
-    if many and "jax" not in sys.modules and "xla_backend_extra_options" not in flags:
-        os.environ["XLA_FLAGS"] = f"{flags} {SEVERAL_RESULTS}".strip()
+    gc.set_threshold(*MANY_OBJECTS)
     import jax
 
     if devices:
         from jaxftc.parallel import cores
 
         jax.config.update("jax_num_cpu_devices", cores())
-    if options.cache:
-        from jaxftc import kept
+    if many:
+        from jaxftc.compile import configure_xla
 
-        home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxftc"
-        kept.folder = home / "programs"
-        jax.config.update("jax_compilation_cache_dir", str(home / "xla"))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+        with contextlib.suppress(RuntimeError):  # a process that has used JAX already keeps the flags that it has
+            configure_xla(several_results=True if options.engine == "chain" else None)
+    if options.cache:
+        from jaxftc import program_cache
+
+        home = program_cache.open_folder(program_cache.user_folder())
+        program_cache.folder = home and program_cache.open_folder(home / "programs")
+        compiled = home and program_cache.open_folder(home / "xla")
+        if compiled is not None:
+            jax.config.update("jax_compilation_cache_dir", str(compiled))
+            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
 
 
 def key(options: Options) -> Any:

@@ -18,9 +18,7 @@ class Demo(common.Options):
 
     def run(self) -> None:
         """Run it, print the table and the claims, write report.html and result.json."""
-        common.prepare(self)
-        from tqdm import tqdm
-
+        common.prepare(self, many=True)
         from jaxftc import Config, paper
         from jaxftc.report.demo import demo_page
 
@@ -28,8 +26,7 @@ class Demo(common.Options):
         config = Config(robot, engine=self.engine)
         gains = common.load_or_default(self, config)
         folder = common.make_folder(self, "demo")
-        with tqdm(total=9, desc="observers x controllers", unit="pair", leave=False) as bar:
-            experiment = paper.run(config, gains, common.key(self), bar.update)
+        experiment = paper.run(config, gains, common.key(self))
         text = common.write_json(folder / "result.json", paper.as_json(experiment))
         write_text(folder / "report.html", demo_page(config, gains, experiment))
         common.say(self, table(experiment.rows))

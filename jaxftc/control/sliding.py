@@ -20,6 +20,7 @@ from jaxftc.config import Config
 from jaxftc.control import gain
 from jaxftc.control.surface import Surface
 from jaxftc.gains import ControlGains
+from jaxftc.stages import Stages, either
 from jaxftc.types import Array, Reference
 
 
@@ -30,14 +31,14 @@ class Command(NamedTuple):
     alpha_online: Array  # [n, ...] 1
 
 
-def law(config: Config, gains: ControlGains, surface: Surface, q: Array, psi: Array, reference: Reference) -> Command:
+def law(
+    config: Config, gains: ControlGains, surface: Surface, q: Array, psi: Array, reference: Reference, on: Stages
+) -> Command:
     """Commanded acceleration at angle q [n, ...] rad, with the estimated fault psi [n, ...] rad/s^2."""
+    psi, alpha = either(on.raw, (jnp.zeros_like(psi), gains.alpha_sm), (psi, gains.alpha_sm2))
     factor = jnp.ones_like(q)
-    alpha = gains.alpha_sm2
-    if config.control == "smc":
-        psi, alpha = jnp.zeros_like(psi), gains.alpha_sm
-    elif config.control == "afesmc":
-        factor = gain.alpha_online(config, gains, q, surface.s)
+    if on.online is not False:
+        factor = either(on.online, gain.alpha_online(config, gains, q, surface.s), factor)
     switching = alpha * factor * smooth.sign(surface.s, gains.eps, hard=config.sign == "hard")  # U_a
     equivalent = reference.qdd - gains.lam * surface.errord - gains.k_b * surface.s  # U_b
     return store(Command(equivalent - switching - psi, factor))  # U_C = -A psi

@@ -9,17 +9,15 @@ scenario, which costs nothing, so that a replay is the same program again.
 from __future__ import annotations
 
 import functools
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import checks
-from jaxftc.closed_loop import Trace, check, watch
+from jaxftc import checks, stages
+from jaxftc.closed_loop import Trace, blank_trace, check, program_kind, watch
 from jaxftc.compile import jit
 from jaxftc.config import Config
 from jaxftc.faults.preset import Preset
@@ -59,11 +57,13 @@ def scores(
         )
     check(config, gains, trail(scenarios))
     checks.random_key("key", key)
-    count, wide, program = len(scenarios.id), width(), _program(config)
+    count, wide, program = len(scenarios.id), width(), _program(stages.general(config))
+
+    on = stages.as_data(config)
 
     def block(first: int) -> score.Score:
         piece = take(scenarios, np.arange(first, first + wide) % count)
-        return jax.tree.map(np.asarray, program(key, gains, piece)[0])
+        return jax.tree.map(np.asarray, program(key, on, gains, piece)[0])
 
     pieces, starts = [], range(0, count, wide)
     pool = ThreadPoolExecutor(_at_a_time())
@@ -89,40 +89,29 @@ def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tupl
     """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
     copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], width(), axis=0), scenario)
     check(config, gains, trail(copies))
-    result, trace = _program(config)(key, gains, copies)
+    result, trace = _program(stages.general(config))(key, stages.as_data(config), gains, copies)
     row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
     return row, trace
 
 
-class _Program:
-    """(key, gains, scenarios with a leading axis) to (scores, trace of the first); the first call compiles, others wait."""
-
-    def __init__(self, config: Config) -> None:
-        def block(key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
-            true = score.truth(config, scenarios)
-
-            def look(state: score.State, tick: Trace) -> tuple[score.State, Trace]:
-                first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)
-                return score.step(config, true, state, tick), first
-
-            blank = score.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
-            last, trace = watch(config, gains, scenarios, key, blank, look)
-            return last.score, trace
-
-        self._run, self._lock, self._compiled = jit(block, origin=repr(config), alone=True), threading.Lock(), False
-
-    def __call__(self, key: Array, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
-        if self._compiled:
-            return self._run(key, gains, trail(scenarios))
-        with self._lock:
-            result = self._run(key, gains, trail(scenarios))
-            self._compiled = True
-            return result
-
-
 @functools.lru_cache(maxsize=16)
-def _program(config: Config) -> Any:
-    return _Program(config)
+def _program(config: Config) -> Callable[[Array, stages.Stages, Gains, Scenario], tuple[score.Score, Trace]]:
+    """(key, stages, gains, scenarios with a leading axis) to (scores, trace of the first)."""
+
+    def block(key: Array, on: stages.Stages, gains: Gains, scenarios: Scenario) -> tuple[score.Score, Trace]:
+        true = score.truth(config, scenarios)
+
+        def look(state: score.State, tick: Trace) -> tuple[score.State, Trace]:
+            first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)
+            return score.step(config, true, state, tick), first
+
+        blank = score.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
+        last, trace = watch(config, gains, scenarios, key, blank, look, on)
+        return last.score, trace
+
+    like = score.Score(*[0] * len(score.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
+    run = jit(block, kind=program_kind(config.engine), cached_as=repr(config), like=like)
+    return lambda key, on, gains, scenarios: run(key, on, gains, trail(scenarios))
 
 
 def width() -> int:

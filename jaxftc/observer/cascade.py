@@ -1,7 +1,7 @@
 """The cascade: one innovation, up to three stages, two fault estimates, Eqs. (6) to (10), (13), (15), (16).
 
 psi, the actuator fault, is an acceleration that enters the ARX model through its input column; b, the encoder fault, is
-taken off the reading. ``config.observer`` says how many stages run.
+taken off the reading. ``Stages`` says how many of them run.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from jaxftc.barrier import store
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.observer import adaptive, pi, super_twisting
+from jaxftc.stages import Stages, either
 from jaxftc.types import Array
 
 
@@ -76,7 +77,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 
 
 def explain(
-    config: Config, gains: Gains, state: State, reading: Array, expected: Array, doubt: Doubt
+    config: Config, gains: Gains, state: State, reading: Array, expected: Array, doubt: Doubt, on: Stages
 ) -> tuple[State, Innovation]:
     """Innovation and fault estimates of this tick from a reading [n, ...] rad.
 
@@ -94,26 +95,21 @@ def explain(
     b = jnp.where(stuck, state.b_fresh, state.adaptive.b)
     y = jnp.where(missing, y_hat + b, reading)
     e = y - b - y_hat
-    if config.observer == "ts":
+    jump = adaptive.Jump(*[jnp.zeros_like(e)] * 4)
+    if on.fuzzy is not False:
         strange = y - b - 2 * state.q1 + state.q2 - config.dt**2 * expected
         strange = jnp.where(missing | back, 0.0, strange)
-        jump = adaptive.judge(gains.observer, strange, e - state.e, b, doubt.kicked, doubt.noisy)
-    else:
-        jump = adaptive.Jump(*[jnp.zeros_like(e)] * 4)
+        judged = adaptive.judge(gains.observer, strange, e - state.e, b, doubt.kicked, doubt.noisy)
+        jump = either(on.fuzzy, judged, jump)
     shift = jnp.where(back, e, jump.followed)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]  # H_y(1) = 1: y_hat moves by shift
     y_hat, e, b = store((y_hat + shift, e - shift - jump.moved, b + jump.moved))
     pi_next, psi = pi.step(gains.observer, state.pi, e)
-    sliding_next = state.sliding
-    if config.observer != "pi":
-        hard = config.sign == "hard"
-        if config.observer == "eso_printed":
-            sliding_next, psi_sm = super_twisting.step_printed(gains.observer, state.sliding, e, hard=hard)
-        else:
-            sliding_next, psi_sm = super_twisting.step(gains.observer, state.sliding, e, jump.h_s, config.dt, hard=hard)
-        psi = psi + psi_sm  # Eq. (15)
-    if config.observer == "ts":
-        psi = psi + state.adaptive.psi  # Eq. (15)
+    hard, rest = config.sign == "hard", (state.sliding, jnp.zeros_like(e))
+    mended = super_twisting.step(gains.observer, state.sliding, e, jump.h_s, config.dt, hard=hard)
+    printed = super_twisting.step_printed(gains.observer, state.sliding, e, hard=hard)
+    sliding_next, psi_sm = either(on.sliding, either(on.printed, printed, mended), rest)
+    psi = psi + psi_sm + state.adaptive.psi  # Eq. (15); a stage that does not run has psi = 0
     q_hat = y - b
     fault = jnp.where(stuck, reading - q_hat, b)
     info = Innovation(y, y_hat, e, jump, shift, b, q_hat, fault, psi, missing, absent)
@@ -132,15 +128,16 @@ def explain(
     ), info
 
 
-def adapt(config: Config, gains: Gains, state: State, info: Innovation, residual_tau: Array) -> State:
+def adapt(gains: Gains, state: State, info: Innovation, residual_tau: Array, on: Stages) -> State:
     """Second half: the fuzzy stage learns from the torque residual [n, ...] N m, the angle's bank from the correction.
 
     x+ = A x + b_y (y_hat + alpha_p e) + b_v (v + psi): the correction enters through b_y, the fault through b_v; the input's
     bank waits for the torque that is really commanded (``drive``).
     """
     fuzzy = state.adaptive
-    if config.observer == "ts":
-        fuzzy = adaptive.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
+    if on.fuzzy is not False:
+        moved = adaptive.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
+        fuzzy = either(on.fuzzy, moved, fuzzy)
     corrected = info.y_hat + gains.observer.alpha_p * info.e  # Eq. (6)
     x_a = laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)
     return state._replace(adaptive=fuzzy, arx=state.arx._replace(x_a=x_a))

@@ -18,6 +18,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains, specs
+from jaxftc.stages import Flag
 from jaxftc.types import Array
 
 SQUARINGS = 16  # of the matrix: the norm of its 65536th power is radius^65536 within a factor that the root takes to 1
@@ -32,17 +33,20 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
     return np.abs(np.linalg.eigvals(matrices)).max(-1).max(0)
 
 
-def smooth_radius(config: Config, gains: Gains) -> Array:
+def smooth_radius(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Array:
     """The same [n] within 2e-4, from a power of the matrix: with a gradient, on every backend, also at double poles.
 
-    Gains with one trailing scenario axis give [n, scenarios].
+    Gains with one trailing scenario axis give [n, scenarios]. ``fuzzy`` says by data whether the fuzzy stage runs.
     """
     leaves, tree = jax.tree.flatten(gains)
     own = [len(spec.axes) for _, _, spec in specs()]
     swept = [-1 if leaf.ndim > rank else None for leaf, rank in zip(leaves, own, strict=True)]
     if any(axis is not None for axis in swept):
-        return jax.vmap(smooth_radius, in_axes=(None, jax.tree.unflatten(tree, swept)), out_axes=-1)(config, gains)
-    power = error_matrices(config, gains)
+        along = jax.vmap(
+            lambda one: smooth_radius(config, one, fuzzy), in_axes=(jax.tree.unflatten(tree, swept),), out_axes=-1
+        )
+        return along(gains)
+    power = error_matrices(config, gains, fuzzy)
 
     def square(carry: tuple[Array, Array], share: Array) -> tuple[tuple[Array, Array], None]:
         power, total = carry
@@ -63,10 +67,10 @@ def bank_matrices(xi: Array | float, order: int) -> tuple[Array, Array]:
     return jnp.where(i == j, xi, jnp.where(j < i, below, 0.0)), jnp.sqrt(1 - xi**2) * (-xi) ** np.arange(order)
 
 
-def error_matrices(config: Config, gains: Gains) -> Array:
+def error_matrices(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Array:
     """State matrices [cases, n, size, size] of (x, dt^2 psi_PI, dt^2 psi_F) for a zero reading: an error after one tick.
 
-    The cases are the fuzzy stage off and fully on; one case for an observer without it. Inputs and psi are scaled by dt^2,
+    The cases are the fuzzy stage off and fully on, twice off for an observer without it. Inputs and psi are scaled by dt^2,
     so that all entries are angles.
     """
     if config.input != "rigid_body":
@@ -75,7 +79,7 @@ def error_matrices(config: Config, gains: Gains) -> Array:
         )
     arx, observer = gains.arx, gains.observer
     strongest = jnp.maximum(observer.alpha_f1, observer.alpha_f3)
-    on = [0.0, 1.0] if config.observer == "ts" else [0.0]
+    on = (0.0, 1.0 * (config.observer == "ts" if fuzzy is None else fuzzy))
 
     def one(xi_a, xi_b, kappa_a, kappa_b, alpha_p, alpha_i, alpha_f, leak, on):
         """One joint's matrix, with the fuzzy stage ``on`` (1) or off (0)."""
