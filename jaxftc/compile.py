@@ -232,7 +232,7 @@ class _Jitted:
 
     def __call__(self, *args: Any) -> Any:
         """The function's results."""
-        if is_tracing(args) or jax.config.read("jax_disable_jit"):
+        if is_tracing(args) or program_cache.setting("disable_jit"):
             return self._inlined(*args)
         static = tuple(args[k] for k in self._static)
         arrays = tuple(arg for k, arg in enumerate(args) if k not in self._static)
@@ -240,7 +240,7 @@ class _Jitted:
         kind = (
             static,
             tree,
-            jax.config.read("jax_enable_x64"),
+            program_cache.setting("enable_x64"),
             tuple((jax.typeof(leaf), _placement(leaf)) for leaf in leaves),
         )
         if kind not in self._programs:

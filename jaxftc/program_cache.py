@@ -121,11 +121,14 @@ def _write(path: Path, data: bytearray) -> None:
         old.unlink(missing_ok=True)
 
 
+def setting(name: str) -> Any:
+    """One of JAX's settings as it is now."""
+    return getattr(jax.config, f"jax_{name}")
+
+
 def _circumstances() -> str:
     """What a traced program depends on besides its function and its arguments."""
-    settings = [
-        jax.config.read(f"jax_{name}") for name in ("enable_x64", "threefry_partitionable", "default_matmul_precision")
-    ]
+    settings = [setting(name) for name in ("enable_x64", "threefry_partitionable", "default_matmul_precision")]
     return f"{_installation()}{settings}{jax.default_backend()}{len(jax.devices())}"
 
 
