@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -176,20 +177,12 @@ def begin(block: Block, gains: jaxftc.Gains, q: jax.Array) -> Any:
     return block.start(block.config(), align(gains, q.ndim - 1), q)
 
 
-def layout(tree: Any) -> Any:
-    return jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree)
-
-
 def assert_close(one: Any, other: Any, tolerance: float = 1e-10) -> None:
-    assert jax.tree.structure(one) == jax.tree.structure(other)
+    chex.assert_trees_all_equal_structs(one, other)
     for mine, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
         theirs = np.asarray(theirs, float)
         scale = max(1.0, float(np.abs(theirs[np.isfinite(theirs)]).max(initial=0.0)))
         np.testing.assert_allclose(np.asarray(mine, float), np.asarray(theirs, float), rtol=0, atol=tolerance * scale)
-
-
-def all_finite(tree: Any) -> bool:
-    return all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(tree))
 
 
 def without_thresholds(info: Any) -> Any:
@@ -209,7 +202,7 @@ def test_state_comes_out_as_it_went_in(block, axes, dtype):
     signals = [jax.ShapeDtypeStruct((N, *axes), dtype)] * len(block.sizes)
     state = jax.eval_shape(functools.partial(begin, block), gains, signals[0])
     after, info = jax.eval_shape(tick, gains, state, *signals)
-    assert layout(after) == layout(state)
+    chex.assert_trees_all_equal_shapes_and_dtypes(after, state)
     for leaf in jax.tree.leaves((state, info)):
         assert leaf.dtype == dtype or not jnp.issubdtype(leaf.dtype, jnp.floating)
     assert {leaf.shape for leaf in jax.tree.leaves(info)} <= {(N, *axes), axes}
@@ -218,8 +211,8 @@ def test_state_comes_out_as_it_went_in(block, axes, dtype):
 @each(*SMALL, *PAIRS, *BASELINES, slow=VARIANTS)
 def test_one_trace_and_the_same_numbers_as_without_jit(block):
     tick, gains = tick_of(block)
-    traces = []
-    compiled = jax.jit(lambda *args: traces.append(1) or tick(*args))
+    chex.clear_trace_counter()  # it takes functions with one source for the same
+    compiled = jax.jit(chex.assert_max_traces(tick, n=1))
     signals = draw(block, (), 4)
     state = plain = begin(block, gains, signals[0][0])
     # Ranks agree in all arithmetic of one arm, but where every joint reads the inputs of all.
@@ -228,8 +221,7 @@ def test_one_trace_and_the_same_numbers_as_without_jit(block):
             state, info = compiled(gains, state, *each_tick)
             plain, plain_info = tick(gains, plain, *each_tick)
             assert_close((state, info), (plain, plain_info))
-    assert len(traces) == 1
-    assert all_finite((state, without_thresholds(info)))
+    chex.assert_tree_all_finite((state, without_thresholds(info)))
 
 
 QUICK = [few for few in FEW if few.name != "ekf"]  # the filter's gradient and its vmap take a minute to compile
@@ -267,7 +259,7 @@ def test_gradients_are_finite(block):
         return sum((leaf**2).sum() for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))
 
     slopes = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, last)
-    assert all_finite(slopes)
+    chex.assert_tree_all_finite(slopes)
     moved = [bool(jnp.any(slope != 0)) for slope in jax.tree.leaves(slopes)]
     assert any(moved), "a cost that depends on nothing tests nothing"
 
@@ -376,7 +368,7 @@ def test_what_is_not_finite_is_missing(config, log, missing):
     gains = jaxftc.default_gains(config)
     expected = diagnose(config, gains, altered(log, slice(20, 25), (1,), q=np.nan))
     got = diagnose(config, gains, altered(log, slice(20, 25), (1,), q=missing))
-    jax.tree.map(np.testing.assert_array_equal, got, expected)
+    chex.assert_trees_all_equal(got, expected)
 
 
 def test_a_known_encoder_fault_outlives_missing_readings(config, log):
@@ -391,7 +383,7 @@ def test_a_known_encoder_fault_outlives_missing_readings(config, log):
 def test_readings_that_never_come_leave_everything_finite(config, log):
     """Degenerate case: the controller is on its own from the second tick; a perfect model then predicts the motion."""
     out = diagnose(config, jaxftc.default_gains(config), altered(log, slice(1, None), q=np.nan))
-    assert all_finite(out)
+    chex.assert_tree_all_finite(out)
     assert np.abs(out.residual_q[1:]).max() < 1e-9
     assert (out.verdict[-1] == SENSOR).all()
     assert np.abs(out.q_hat - log.measurement.q).max() < 5e-3
@@ -427,4 +419,4 @@ def test_gradients_pass_missing_values(config, log, observer):
         out = diagnose(config, gains, gap)
         return ((out.q_hat - gap.reference.q) ** 2).sum() + (out.fault_tau_hat**2).sum()
 
-    assert all_finite(jax.jit(jax.grad(cost))(jaxftc.default_gains(config)))
+    chex.assert_tree_all_finite(jax.jit(jax.grad(cost))(jaxftc.default_gains(config)))

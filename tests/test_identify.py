@@ -3,6 +3,7 @@
 import dataclasses
 import re
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -286,7 +287,7 @@ def test_errors_of_horizons_are_what_a_loop_gives(rigid, noisy):
         short = short.fifty_step if horizon == 50 else short.free_run
         # the last readings' speed comes from fewer readings in the short log, and its input differs there
         np.testing.assert_allclose(short.rms, np.sqrt((error**2).mean(0)), rtol=2e-2)
-        assert size.rms.shape == size.max.shape == (config.n,)
+        chex.assert_shape([size.rms, size.max], (config.n,))
 
 
 # The torque form.
@@ -296,7 +297,8 @@ def test_the_torque_form_fits_its_motion_and_not_another(torque, noisy, other):
     config, gains = torque
     found = identify.fit_batch(config, gains, noisy)
     np.testing.assert_allclose(steady(found), 1.0, atol=1e-14)
-    assert found.arx.kappa_b.shape == (6, 6, 2) and (np.asarray(found.arx.offset) != 0).all()
+    chex.assert_shape(found.arx.kappa_b, (6, 6, 2))
+    assert (np.asarray(found.arx.offset) != 0).all()
     seen, unseen = (identify.errors(config, found, log) for log in (noisy, other))
     assert worst(seen)["fifty_step"] < CLAIM and worst(seen)["fifty_step"] < 0.05 * worst(seen)["extrapolator_fifty_step"]
     assert (seen.one_step.rms < seen.extrapolator_one_step.rms).all()

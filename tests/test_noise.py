@@ -2,6 +2,7 @@
 
 import functools
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,7 +41,7 @@ def test_the_inverse_error_function_is_exact_to_rounding():
 def test_each_scenario_has_its_own_whatever_is_beside_it(shape):
     ids = 7 * jnp.arange(np.prod(shape, dtype=int)).reshape(shape)
     together = run(jax.random.key(1), ids, 6)
-    assert together.shape == (TICKS, 6, *shape)
+    chex.assert_shape(together, (TICKS, 6, *shape))
     for index in np.ndindex(shape):
         np.testing.assert_allclose(together[:, :, *index], run(jax.random.key(1), ids[index], 6), rtol=1e-6, atol=1e-7)
 

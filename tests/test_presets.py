@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import chex
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -144,13 +145,8 @@ def test_other_keys_draw_others(config, many):
 
 @pytest.mark.parametrize("name", ["hard", "paper"])
 def test_drawing_is_traceable_and_an_equal_preset_does_not_compile_again(config, name):
-    traces = []
-
-    def chunk(preset, config, key, ids):
-        traces.append(ids.shape)
-        return draw_all(preset, config, key, ids)
-
-    program = jax.jit(chunk, static_argnums=(0, 1))
+    chex.clear_trace_counter()
+    program = jax.jit(chex.assert_max_traces(draw_all, n=1), static_argnums=(0, 1))
     key = jax.random.key(3)
     preset = load_preset(name)
     again = dataclasses.replace(preset)
@@ -160,7 +156,6 @@ def test_drawing_is_traceable_and_an_equal_preset_does_not_compile_again(config,
         outside = draw_all(preset, config, key, jnp.array(ids))
         for mine, theirs in zip(jax.tree.leaves(inside), jax.tree.leaves(outside), strict=True):
             np.testing.assert_allclose(mine, theirs, rtol=1e-13)
-    assert len(traces) == 1
 
 
 def test_paper_deals_its_conditions_in_turn_from_any_id(config):
@@ -313,7 +308,7 @@ def test_a_condition_without_a_share_never_comes(own, config):
 def test_a_three_joint_arm():
     config = jaxftc.Config(arm("three", 3), engine="chain", duration=0.02)
     scenarios = arrays(jaxftc.sample_scenarios(jax.random.key(0), 300, preset="hard", config=config))
-    assert scenarios.q_start.shape == (300, 3) and scenarios.plant.payload.shape == (300,)
+    chex.assert_shape([scenarios.q_start, scenarios.plant.payload], [(300, 3), (300,)])
     assert np.rad2deg(np.abs(scenarios.q_start)).max() <= 30
     bias = scenarios.fault_tau.magnitude[scenarios.fault_tau.kind == Actuator.BIAS]
     assert bias.size and np.abs(bias).min() >= 0.25 and np.abs(bias).max() <= 3.0

@@ -7,6 +7,7 @@ import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import chex
 import jax
 import jax.numpy as jnp
 import mujoco
@@ -190,7 +191,7 @@ def test_a_loaded_arm_runs_the_whole_loop(tmp_path):
     config = jaxftc.Config(load(tmp_path, SEVEN_HINGES), engine="chain", duration=0.05)
     healthy = jaxftc.paper_scenario("healthy", config)._replace(noise=jnp.zeros(()))
     trace = jaxftc.simulate(config, jaxftc.default_gains(config), healthy, jax.random.key(0))
-    assert trace.q.shape == (50, 7)
+    chex.assert_shape(trace.q, (50, 7))
     assert np.abs(trace.q - trace.q_ref).max() < 1e-3
     assert not trace.out.detected.any()
 
@@ -444,7 +445,7 @@ def test_gains_survive_a_file_bit_for_bit(config, tmp_path):
     gains = with_gain(gains, "diagnosis.lam_q", draw.uniform(0.1, 1.0, 6))
     jaxftc.save_gains(tmp_path / "gains.toml", gains, config)
     read = jaxftc.load_gains(str(tmp_path / "gains.toml"), config)
-    jax.tree.map(np.testing.assert_array_equal, read, gains)
+    chex.assert_trees_all_equal(read, gains)
     assert [path.name for path in tmp_path.iterdir()] == ["gains.toml"], "nothing is left beside the file"
 
 

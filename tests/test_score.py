@@ -2,6 +2,7 @@
 
 import functools
 
+import chex
 import hypothesis
 import jax
 import jax.numpy as jnp
@@ -84,7 +85,7 @@ def test_a_replay_is_the_row_and_its_trace(setting):
         row, trace = run.replay(config, gains, jax.tree.map(lambda x, k=k: np.asarray(x)[k], scenarios), jax.random.key(7))
         for name, column in rows.items():
             np.testing.assert_array_equal(row[name], column[k : k + 1], err_msg=name)
-        assert trace.q.shape == (config.ticks, N) and trace.t.shape == (config.ticks,)
+        chex.assert_shape([trace.q, trace.t], [(config.ticks, N), (config.ticks,)])
         error = np.rad2deg(metrics.rms(np.asarray(trace.q - trace.q_ref)))
         assert error == pytest.approx(rows["tracking_rmse_deg"][k], rel=1e-6)
 
