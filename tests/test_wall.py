@@ -172,7 +172,7 @@ def test_the_wall_stands_for_every_scheme(config, gains, healthy, scheme):
 
 
 def test_two_worlds_that_look_the_same_get_the_same_answer(run, healthy):
-    """Half of every torque lost, or motors half as strong: different truths, the same readings, the same outputs bit for bit.
+    """Half of every torque lost, or motors half as strong: other truths, the same readings, the same outputs bit for bit.
 
     Of all shares a half is exact: whether a product is rounded before it is added to something is up to the compiler.
     """
