@@ -110,14 +110,23 @@ def quantile(law: Law, u: Array) -> Array:
     """The values [...] that belong to uniform numbers u [...] in [0, 1), by the inverse distribution function."""
     if isinstance(law, Uniform):
         low, high = law.uniform
-        return low + (high - low) * u
+        return low + _rounded((high - low) * u)
     if isinstance(law, Normal):
         mean, std = law.normal
-        value = mean + std * ndtri(jnp.maximum(u, jnp.finfo(u.dtype).eps / 2))  # u can be 0, where ndtri is infinite
+        value = mean + _rounded(std * ndtri(jnp.maximum(u, jnp.finfo(u.dtype).eps / 2)))  # of 0, ndtri is infinite
         return value if law.within is None else jnp.clip(value, law.within[0], law.within[1])
     if isinstance(law, Choice):
         return jnp.asarray(law.choice, u.dtype)[(len(law.choice) * u).astype(jnp.int32)]
     return jnp.full(u.shape, law, u.dtype)
+
+
+def _rounded(product: Array) -> Array:
+    """The product, rounded before it is added to anything.
+
+    XLA's CPU compiler multiplies and adds with one rounding or with two, as the place in the loop has it: a draw would then
+    depend in its last digit on how many are drawn with it. A maximum in between leaves it no choice.
+    """
+    return jnp.maximum(product, jnp.finfo(product.dtype).min)
 
 
 def require(place: str, law: Law, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> None:
