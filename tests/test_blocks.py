@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc import stages
 from jaxftc.config import SCHEMES
 from jaxftc.control import sliding, surface
 from jaxftc.diagnosis import decide, threshold
@@ -51,8 +52,9 @@ def adapt_fuzzy(config, gains, state, e, strange, change, residual_tau):
 def observe(config, gains, state, y, u, expected, residual_tau):
     no_doubt = cascade.Doubt(*[jnp.zeros_like(y)] * 4)
     state = cascade.drive(gains, state, u)
-    state, seen = cascade.explain(config, gains, state, y, expected, no_doubt)
-    return cascade.adapt(config, gains, state, seen, residual_tau), seen
+    on = stages.of(config)
+    state, seen = cascade.explain(config, gains, state, y, expected, no_doubt, on)
+    return cascade.adapt(gains, state, seen, residual_tau, on), seen
 
 
 def judge(config, gains, state, s_tau, s_q, y, h_s, qd_hat):
@@ -71,7 +73,8 @@ def track(config, gains, state, q, *reference):
 
 def command(config, gains, state, q, s, errord, psi, qdd_ref):
     desired = jaxftc.Reference(q, q, qdd_ref)
-    return state, sliding.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired)
+    on = stages.of(config)
+    return state, sliding.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired, on)
 
 
 def control_tick(config, gains, state, *signals):

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from itertools import product
 from pathlib import Path
 
 import hypothesis.extra.numpy as arrays
@@ -14,8 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxftc
-from jaxftc import claims, identify, metrics, paper
-from jaxftc.config import CONTROLS, OBSERVERS
+from jaxftc import paper
 from jaxftc.report import diagram, figures
 from jaxftc.report.demo import demo_page
 from jaxftc.report.figures import MOST, thin, trace_page, windows
@@ -31,28 +29,9 @@ def config(paper_arm):
 
 @pytest.fixture(scope="module")
 def experiment(config):
-    """The demo's experiment from one program: the runs of T-S with AFESMC stand for every pair, so that little compiles."""
+    """The demo's experiment, on the quick engine and for part of the motion."""
     with jax.enable_x64(False):
-        gains = jaxftc.default_gains(config)
-        scenarios, scaled = paper._plain(config, gains)
-        trace = jaxftc.simulate(config, scaled, scenarios, jax.random.key(0))
-        kept = [metrics.columns(trace, c) for c in range(paper.PLAIN)]
-        log = identify.Log(q=kept[0]["y"], tau=kept[0]["tau"])
-        free = identify.predict(config, gains, log, len(log.q))
-        arx = paper.Arx(log, free, identify.errors(config, gains, log))
-    pairs = list(product(OBSERVERS, CONTROLS))
-    conditions = kept[: len(paper.CONDITIONS)]
-    rows = [
-        paper.Row(condition, *pair, **metrics.evaluate(config, one)._asdict())
-        for condition, one in zip(paper.CONDITIONS, conditions, strict=True)
-        for pair in pairs
-    ]
-    rng, shape = np.random.default_rng(0), (2, len(paper.SWEEP), paper.SEEDS, len(paper.CONDITIONS))
-    curves = {control: np.sort(rng.uniform(0.1, 10.0, shape), axis=1) for control in CONTROLS}
-    comparisons = list(paper._comparisons(curves))
-    wrong = kept[-len(paper.WRONG) :]
-    found = paper.Experiment(rows, comparisons, dict.fromkeys(pairs, conditions), wrong, curves, arx, [])
-    return found._replace(claims=list(claims.judge(config, found)))
+        return paper.run(config, jaxftc.default_gains(config), jax.random.key(0))
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from twins import reference as twin_reference
 from twins import threshold as twin_threshold
 
 import jaxftc
-from jaxftc import arx, laguerre, reference
+from jaxftc import arx, laguerre, reference, stages
 from jaxftc.control import gain, sliding, surface
 from jaxftc.diagnosis import threshold
 from jaxftc.fuzzy import rules
@@ -96,7 +96,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     zero = np.zeros(6)
     mine = {"b": zero, "e_prev": zero, "psi_pi": zero, "g": zero, "psi_f": zero}
     history = (q0, q0, zero)
-    believed = cascade.Doubt(*[jnp.zeros(6)] * 4)
+    believed, on = cascade.Doubt(*[jnp.zeros(6)] * 4), stages.of(config)
     for k in range(60):
         y = (
             q0
@@ -114,9 +114,9 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
             centres_jump=o.jump_centres, widths_jump=o.jump_widths, observer=observer, eps=None if hard else o.eps[0],
             history=history,
         )  # fmt: skip
-        state, seen = cascade.explain(config, gains, state, jnp.asarray(y), jnp.asarray(history[2]), believed)
+        state, seen = cascade.explain(config, gains, state, jnp.asarray(y), jnp.asarray(history[2]), believed, on)
         residual = mass @ np.asarray(seen.psi)
-        state = cascade.adapt(config, gains, state, seen, jnp.asarray(residual))
+        state = cascade.adapt(gains, state, seen, jnp.asarray(residual), on)
         state = cascade.drive(gains, state, jnp.asarray(v) + seen.psi)
         close = {
             "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual,
@@ -229,7 +229,7 @@ def test_law_is_the_twin(control, paper_arm, rng):
     desired = Reference(*(jnp.asarray(rng.normal(size=6)) for _ in range(3)))
     q = y if control == "smc" else y - b
     at = surface.surface(gains, jnp.asarray(q), jnp.asarray(qd), desired)
-    command = sliding.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired)
+    command = sliding.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired, stages.of(config))
     mass, bias = np.eye(6), np.zeros(6)
     want = twin_control.law(
         control, y, b, qd, *(np.asarray(r) for r in desired), psi, mass, bias, bias, lam=gains.lam, a_sm=gains.alpha_sm,
@@ -287,8 +287,8 @@ def test_zero_gains_leave_the_open_model(config):
     gains = dataclasses.replace(gains, observer=o)
     state, calm = cascade.init(config, gains, jnp.ones(6)), cascade.Doubt(*[jnp.zeros(6)] * 4)
     for _ in range(5):
-        state, seen = cascade.explain(config, gains, state, jnp.full(6, 1.3), jnp.zeros(6), calm)
-        state = cascade.adapt(config, gains, state, seen, jnp.zeros(6))
+        state, seen = cascade.explain(config, gains, state, jnp.full(6, 1.3), jnp.zeros(6), calm, stages.of(config))
+        state = cascade.adapt(gains, state, seen, jnp.zeros(6), stages.of(config))
         state = cascade.drive(gains, state, seen.psi)
         np.testing.assert_allclose(seen.y_hat, 1.0, atol=1e-9)
         np.testing.assert_array_equal(seen.psi, 0.0)
