@@ -130,7 +130,7 @@ def advance(
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
     fault, y, angle_fault = inject.read(fault_q, loop.fault, t, loop.q, reading_error)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
-    state, out = schemes.step(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
+    state, out = schemes.tick(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
     limit = chain.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
     fault, delivered = inject.deliver(fault_tau, fault, t, out.tau, limit)

@@ -42,22 +42,20 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     return ROOMS[config.scheme].init(config, align(gains, q.ndim - 1), q)
 
 
-def step(
-    config: Config,
-    gains: Gains,
-    state: Any,
-    reference: Reference,
-    measurement: Measurement,
-    stages: Stages | None = None,
-) -> tuple[Any, Output]:
+def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
     """One controller tick: pure, and differentiable in everything but the verdict.
-
-    ``stages`` tells the cascade by data which of its stages run, in place of the config's observer and control.
 
     Raises:
         ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``), or the state is
             that of another scheme.
     """
+    return tick(config, gains, state, reference, measurement, None)
+
+
+def tick(
+    config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
+) -> tuple[Any, Output]:
+    """``step``; ``stages`` tell the cascade by data which of its stages run, in place of the config's observer and control."""
     room = ROOMS[config.scheme]
     if not isinstance(state, room.State):
         raise ValueError(

@@ -1,6 +1,7 @@
 """The benchmark suites' arithmetic on cases with a known answer, and their peers; the suites themselves run as commands."""
 
 import dataclasses
+import functools
 import json
 import math
 import os
@@ -36,9 +37,9 @@ from benchmarks.peers import dynamics, mujoco_c, numpy_loop, urdf
 from benchmarks.slope import slope_error
 from benchmarks.worker import environment
 from jaxftc.arm.robot import compile_robot
-from jaxftc.cli.common import SEVERAL_RESULTS
 from jaxftc.cli.main import main
 from jaxftc.closed_loop import encoder_noise
+from jaxftc.compile import FLAGS, with_flag
 from tuning import Progress, Settings
 from tuning.settings import GRADIENT_COST, METHODS
 
@@ -232,8 +233,9 @@ def test_a_lucky_baseline_does_not_stop_a_perfect_run():
 
 
 def test_a_child_is_given_every_flag_but_the_commands_own(monkeypatch, tmp_path):
-    monkeypatch.setenv("XLA_FLAGS", f"--xla_a=1 {SEVERAL_RESULTS},xla_b=2 {SEVERAL_RESULTS}")
-    assert environment(tmp_path)["XLA_FLAGS"] == f"--xla_a=1 {SEVERAL_RESULTS},xla_b=2"
+    flags = "--xla_a=1 --xla_backend_extra_options=xla_b=2"
+    monkeypatch.setenv("XLA_FLAGS", functools.reduce(with_flag, FLAGS, flags))
+    assert environment(tmp_path)["XLA_FLAGS"] == flags
 
 
 def test_the_committed_baseline_is_of_the_committed_results():

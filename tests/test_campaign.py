@@ -20,7 +20,6 @@ import pytest
 import jaxftc
 from jaxftc.cli import common
 from jaxftc.cli.campaign import SchemeName
-from jaxftc.cli.common import SEVERAL_RESULTS
 from jaxftc.cli.main import main
 from jaxftc.faults.preset_file import load_preset
 from jaxftc.files import write_parquet
@@ -32,9 +31,8 @@ PROGRAM = "from jaxftc.cli.main import main; main()"
 
 
 def with_job(change):
-    """The program with a constant of ``job`` changed; XLA's flag first: once JAX is imported a command sets none."""
-    flag = f"import os; os.environ['XLA_FLAGS'] = {SEVERAL_RESULTS!r}"
-    return f"{flag}; from jaxftc.monte_carlo import job; job.{change}; {PROGRAM}"
+    """The program with a constant of ``job`` changed."""
+    return f"from jaxftc.monte_carlo import job; job.{change}; {PROGRAM}"
 
 
 @pytest.fixture(scope="module")
