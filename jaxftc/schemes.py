@@ -55,7 +55,7 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
 def tick(
     config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
 ) -> tuple[Any, Output]:
-    """``step``; ``stages`` tell the cascade by data which of its stages run, in place of the config's observer and control."""
+    """``step``, with the cascade's stages given as data in place of the config's observer and control."""
     room = ROOMS[config.scheme]
     if not isinstance(state, room.State):
         raise ValueError(
