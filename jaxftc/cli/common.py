@@ -51,11 +51,12 @@ def say(options: Options, text: str = "") -> None:
     print(text, file=sys.stderr if options.json else sys.stdout)
 
 
-def prepare(options: Options, *, many: bool = False, devices: bool = False) -> None:
+def prepare(options: Options, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
     """Settings that a command may make of its process: XLA's flags and log, the compilation cache, the garbage collector.
 
     ``many`` is for commands that run many scenarios side by side: ``configure_xla``. Programs for single arms take longer to
-    compile with it. ``devices`` makes each core a device, for commands that spread one program over them.
+    compile with it. ``engine`` is what they run on, if not the options'. ``devices`` makes each core a device, for commands
+    that spread one program over them.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -70,7 +71,7 @@ def prepare(options: Options, *, many: bool = False, devices: bool = False) -> N
         from jaxftc.compile import configure_xla
 
         with contextlib.suppress(RuntimeError):  # a process that has used JAX already keeps the flags that it has
-            configure_xla(several_results=True if options.engine == "chain" else None)
+            configure_xla(several_results=True if (engine or options.engine) == "chain" else None)
     if options.cache:
         from jaxftc import program_cache
 

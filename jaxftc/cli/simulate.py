@@ -53,7 +53,12 @@ class Simulate(common.Options):
         from_campaign = self.campaign is not None
         if from_campaign != (self.id is not None):
             raise ValueError("--from and --id go together: a campaign's folder and one of its scenarios")
-        common.prepare(self, many=from_campaign)  # as the campaign did: the same program, to the last bit
+        engine = None
+        if self.campaign is not None:
+            from jaxftc.monte_carlo import store
+
+            engine = store.read_manifest(self.campaign)["request"]["engine"]
+        common.prepare(self, many=from_campaign, engine=engine)  # as the campaign did: the same program, to the last bit
         from jaxftc import metrics, trace_file
         from jaxftc.report.figures import trace_page
 
