@@ -74,8 +74,7 @@ def calibrate(
         ValueError: too few scenarios for that share and confidence, or no threshold can reach it.
     """
     scenarios = without_faults(scenarios)
-    half = (len(scenarios.id) + 1) // 2
-    allowed(half, false_alarms, confidence)
+    half = _enough(len(scenarios.id), false_alarms, confidence)
     parts = take(scenarios, slice(0, half)), take(scenarios, slice(half, None))
 
     def peaks(gains: Gains, part: int) -> Peaks:
@@ -94,14 +93,26 @@ def calibrate_on_logs(
     Raises:
         ValueError: too few runs in the logs for that share and confidence, or no threshold can reach it.
     """
-    runs = sum(len(log.q) // config.ticks for log in logs)
-    allowed((runs + 1) // 2, false_alarms, confidence)
+    _enough(sum(len(log.q) // config.ticks for log in logs), false_alarms, confidence)
 
     def peaks(gains: Gains, part: int) -> Peaks:
         pieces = [_windows(config, diagnose(config, gains, log)) for log in logs]
         return Peaks(*(np.concatenate(leaves, axis=-1)[..., part::2] for leaves in zip(*pieces, strict=True)))
 
     return _settle(config, gains, peaks, false_alarms, confidence)
+
+
+def _enough(runs: int, false_alarms: float, confidence: float) -> int:
+    """The number of runs that set the thresholds: half of them, or one more.
+
+    Raises:
+        ValueError: they are too few, or none is left to check the result on.
+    """
+    half = (runs + 1) // 2
+    allowed(half, false_alarms, confidence)
+    if runs < 2:
+        raise ValueError(f"{runs} healthy run is too few: one sets the thresholds and another checks them; give at least 2")
+    return half
 
 
 def _windows(config: Config, out: Output) -> Peaks:

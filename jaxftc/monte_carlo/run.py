@@ -55,6 +55,8 @@ def scores(
             "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
             f"{list(np.shape(scenarios.id))}; jaxftc.simulate takes a single one"
         )
+    if not len(scenarios.id):
+        raise ValueError("scenarios must be at least one, got none; draw them with jaxftc.sample_scenarios")
     check(config, gains, trail(scenarios))
     checks.random_key("key", key)
     count, wide, program = len(scenarios.id), width(), _program(stages.general(config))
