@@ -127,9 +127,9 @@ def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def logged(puma, tmp_path_factory):
+def logged(tmp_path_factory):
     """Simulated healthy runs as a user would have them: one long log of 1 s at 1 kHz a file."""
-    config = jaxftc.Config(puma, engine="chain", duration=0.1)
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.1)
     long = dataclasses.replace(config, duration=1.0)
     scenarios = without_faults(jaxftc.sample_scenarios(jax.random.key(62), 8, config=long))
     trace = jaxftc.simulate(long, jaxftc.default_gains(long), jaxftc.trail(scenarios), jax.random.key(63))
@@ -137,8 +137,8 @@ def logged(puma, tmp_path_factory):
     paths = []
     for k in range(8):
         columns = {"t": np.asarray(trace.t)}
-        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j, k]) for j in range(6)}
-        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[:, j, k]) for j in range(6)}
+        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j, k]) for j in range(config.n)}
+        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[:, j, k]) for j in range(config.n)}
         paths.append(folder / f"log{k}.parquet")
         write_parquet(paths[-1], columns)
     return config, trace, paths
@@ -155,12 +155,12 @@ def test_a_log_is_diagnosed_as_the_arm_was(logged):
     assert (np.abs(mine - theirs).mean(0) < 0.1 * scale + 0.02).all()
 
 
-def test_a_log_starts_without_a_push(paper_arm):
+def test_a_log_starts_without_a_push(logged):
     """The torque before the first reading is not known; taking the first one for it would be one, of 2 N m.
 
     Without noise, since the simulated loop knows where it starts and a log knows its first reading.
     """
-    config = jaxftc.Config(paper_arm, engine="chain", duration=0.1)
+    config = logged[0]
     gains = jaxftc.default_gains(config)
     quiet = paper_scenario("healthy", config)._replace(noise=0.0)
     trace = jaxftc.simulate(config, gains, quiet, jax.random.key(64))
@@ -184,7 +184,9 @@ def test_a_log_of_another_rate_is_brought_to_the_sample_time(logged, tmp_path):
     config, _, paths = logged
     whole = logs.read(paths[0], config)
     t = np.arange(0, 1, 0.002)
-    rows = {"t": t} | {f"q{j + 1}": whole.q[::2, j] for j in range(6)} | {f"tau{j + 1}": whole.tau[::2, j] for j in range(6)}
+    rows = {"t": t}
+    for j in range(config.n):
+        rows |= {f"q{j + 1}": whole.q[::2, j], f"tau{j + 1}": whole.tau[::2, j]}
     write_parquet(tmp_path / "half.parquet", rows)
     half = logs.read(tmp_path / "half.parquet", config)
     assert len(half.q) == 999
