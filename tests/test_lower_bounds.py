@@ -114,7 +114,7 @@ def results(arm, request) -> Path:
     environment = os.environ | {"XDG_CACHE_HOME": str(request.config.cache.mkdir("lower-bounds"))}
     for line in (
         "simulate --scenario healthy --duration 0.3",
-        "tune --observer pi --control smc --only control --steps 1 --batch 2 --validation 2 --held-out 2 --duration 0.2",
+        "tune --observer pi --control smc --only control --steps 1 --batch 16 --validation 2 --held-out 2 --duration 0.2",
         "campaign -n 4 --duration 0.2 --gains runs/tune-1/gains.toml",
     ):
         command = [sys.executable, "-c", "from jaxftc.cli.main import main; main()", *line.split(), "--robot", arm.name]

@@ -15,7 +15,7 @@ from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, me
 from tuning.settings import GRADIENT_COST, round_length
 
 FREE = ["control", "diagnosis", "observer.alpha_p"]
-SMALL = Settings(steps=10, batch=4, validation=4, learning_rate=0.2)
+SMALL = Settings(steps=10, batch=8, validation=4, learning_rate=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -51,14 +51,14 @@ def same(a, b):
 
 def test_it_finds_better_gains_and_says_how(arm, scenarios, tuned):
     result, seen = tuned
-    problem = Problem(arm, OBJECTIVE, jax.random.key(1), 4)
+    problem = Problem(arm, OBJECTIVE, jax.random.key(1), SMALL.batch)
     before, after = (problem.scores(g, take(scenarios, slice(-4, None))) for g in (jaxftc.default_gains(arm), result.gains))
     assert problem.loss(after, before) < 0.95 * problem.total(before)
     history = result.history
     assert history["step"].tolist() == [5, 10] and [p.step for p, _ in seen] == [5, 10]
     assert history["best"][-1] == pytest.approx(problem.loss(after, before), rel=1e-9)
     assert {f"term_{name}" for name in OBJECTIVE} < set(history)
-    assert result.simulations == 4 + 10 * 4 * (GRADIENT_COST + 1) + 2 * 4
+    assert result.simulations == 4 + 10 * SMALL.batch * (GRADIENT_COST + 1) + 2 * 4
     assert (result.stopped, result.events) == ("all steps done", [])
     same(seen[-1][1], result.gains)
     same(result.gains.arx, jaxftc.default_gains(arm).arx)
@@ -124,13 +124,13 @@ def test_searches_stay_within_their_budget_and_resume(arm, scenarios, method, tm
 def test_finite_differences_descend(arm, scenarios):
     settings = dataclasses.replace(SMALL, method="finite", steps=8, patience=1.0)
     result = run(arm, scenarios, settings=settings, only=["control.lam", "control.eps"], shared=["control"])
-    assert result.steps == settings.budget // (4 * 3)  # two numbers and the point itself
+    assert result.steps == settings.budget // (SMALL.batch * 3)  # two numbers and the point itself
     assert result.best_step > 0
 
 
 def test_what_runs_away_is_undone_and_told(arm, scenarios):
     """Steps that are far too long are taken back and shortened until they are not, or given up after some tries."""
-    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.01).mean(0))}
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.01).mean(0), True)}
     settings = dataclasses.replace(SMALL, steps=30, learning_rate=3.0, patience=1.0)
     options = {"settings": settings, "objective": objective, "only": ["control.lam"]}
     result = run(arm, scenarios, **options)
@@ -174,7 +174,7 @@ def test_after_a_restart_the_rate_goes_on_from_where_it_was():
 
 
 def test_searches_have_nothing_to_undo(arm, scenarios):
-    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0))}
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0), True)}
 
     class Wild(search.Random):
         def generation(self, judge):
