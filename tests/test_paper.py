@@ -59,41 +59,46 @@ def test_default_gains_meet_the_reference(observer, share, paper_arm):
                 assert merit.tracking_rms_deg <= tracking, condition
 
 
-def detect(config, condition, seeds):
-    gains = jaxftc.default_gains(config)
-    one = paper_scenario(condition, config)
-    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf[..., None], seeds, -1), one)._replace(
-        id=jnp.arange(seeds, dtype=jnp.int32)
-    )
-    trace = metrics.columns(jaxftc.simulate(config, gains, batch, jax.random.key(11)))
-    runs = [{name: trace[name][..., s] for name in ("verdict", "fault_tau", "fault_q")} for s in range(seeds)]
-    return [metrics.detection(config, run["verdict"], *metrics.truth(run["fault_tau"], run["fault_q"])) for run in runs]
+def detect(config, conditions, seeds):
+    """What is found with each seed of each condition, all side by side."""
+    batch = trail(stack([paper_scenario(condition, config) for condition in conditions]))
+    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf, seeds, -1), batch)
+    batch = batch._replace(id=jnp.tile(jnp.arange(seeds, dtype=jnp.int32), len(conditions)))
+    trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(11)))
+    runs = [{name: trace[name][..., s] for name in ("verdict", "fault_tau", "fault_q")} for s in range(batch.id.size)]
+    found = [metrics.detection(config, run["verdict"], *metrics.truth(run["fault_tau"], run["fault_q"])) for run in runs]
+    return {condition: found[k * seeds : (k + 1) * seeds] for k, condition in enumerate(conditions)}
 
 
 @pytest.mark.parametrize("coulomb", [False, True])
 def test_no_alarm_without_a_fault_in_200_seeds(coulomb):
     with jax.enable_x64(False):
         config = jaxftc.Config(jaxftc.puma560(coulomb=coulomb), engine="chain")
-        assert all(found.isolated for found in detect(config, "healthy", 200))
+        assert all(found.isolated for found in detect(config, ["healthy"], 200)["healthy"])
+
+
+@pytest.fixture(scope="module")
+def decided(paper_arm):
+    """50 seeds of each condition: together as many as the healthy ones above, and so the same program."""
+    with jax.enable_x64(False):
+        return detect(jaxftc.Config(paper_arm, engine="chain"), CONDITIONS, 50)
 
 
 @pytest.mark.parametrize("condition", CONDITIONS[1:])
-def test_fault_is_decided_on_every_joint_in_50_seeds(condition, paper_arm):
-    with jax.enable_x64(False):
-        results = detect(jaxftc.Config(paper_arm, engine="chain"), condition, 50)
+def test_fault_is_decided_on_every_joint_in_50_seeds(condition, decided):
+    results = decided[condition]
     assert all(found.isolated and found.false_alarm_s is None for found in results)
     assert max(found.delay_s for found in results) <= (0.001 if condition != "actuator" else 0.03)
 
 
-@pytest.mark.parametrize("condition", CONDITIONS)
-def test_verdicts_return_to_normal_after_the_fault(condition, paper_arm):
+def test_verdicts_return_to_normal_after_the_fault(paper_arm):
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain")
-        trace = metrics.columns(
-            jaxftc.simulate(config, jaxftc.default_gains(config), paper_scenario(condition, config), jax.random.key(2))
-        )
-    assert (trace["verdict"][350:] == 0).all()
-    assert (trace["verdict"][:100] == 0).all()
+        batch = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
+        trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(2)))
+    for k, condition in enumerate(CONDITIONS):
+        assert (trace["verdict"][350:, :, k] == 0).all(), condition
+        assert (trace["verdict"][:100, :, k] == 0).all(), condition
 
 
 @pytest.mark.slow
@@ -101,7 +106,7 @@ def test_verdicts_return_to_normal_after_the_fault(condition, paper_arm):
 def test_mjx_decides_the_same(condition, paper_arm):
     """200 healthy and 50 faulty seeds through the default engine."""
     with jax.enable_x64(False):
-        results = detect(jaxftc.Config(paper_arm), condition, 200 if condition == "healthy" else 50)
+        results = detect(jaxftc.Config(paper_arm), [condition], 200 if condition == "healthy" else 50)[condition]
     assert all(found.isolated and found.false_alarm_s is None for found in results)
 
 
