@@ -273,16 +273,16 @@ def test_the_filters_covariance_stays_positive_in_single_precision(paper_arm):
 
 
 @pytest.fixture(scope="module")
-def dropped(config):
+def dropped():
     """A run of a scheme with no reading of any joint for 20 ticks, on an arm with a payload, so that predictions drift."""
 
     @functools.cache
     def one(scheme: str) -> jaxftc.Trace:
-        arm = of(config, scheme)
+        arm = of(SMALL, scheme, duration=0.06)
         scenario = jaxftc.paper_scenario("healthy", arm)
         scenario = scenario._replace(plant=scenario.plant._replace(payload=jnp.asarray(1.0)))
         fault = scenario.fault_q._replace(
-            kind=jnp.full(N, Sensor.DROPOUT, jnp.int32), onset=jnp.full(N, 0.0199), clear=jnp.full(N, 0.0391)
+            kind=jnp.full(arm.n, Sensor.DROPOUT, jnp.int32), onset=jnp.full(arm.n, 0.0199), clear=jnp.full(arm.n, 0.0391)
         )
         trace = jaxftc.simulate(arm, jaxftc.default_gains(arm), scenario._replace(fault_q=fault), jax.random.key(3))
         return jax.tree.map(np.asarray, trace)
