@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -16,7 +15,7 @@ from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.gains import specs
 from tests.arms import three_hinges
 
-TICKS = 30
+N, TICKS = 6, 30
 ACTUATOR_AT, SENSOR_AT = 8, 20  # ticks: the jump comes while the torque residual is about its threshold
 JUMP = 4.5e-4  # rad: graded about 1/2, so that the edges of the grade matter too
 NAMES = [f"{block}.{name}" for block, name, _ in specs()]
@@ -35,9 +34,8 @@ BASELINE = {name for name in NAMES if name.startswith("baseline.")}
 
 
 class Case(NamedTuple):
-    """An arm, a structure and the gains that it does not have."""
+    """A structure and the gains that it does not have."""
 
-    arm: Callable[[], jaxftc.Robot]
     engine: str
     observer: str
     control: str
@@ -46,21 +44,18 @@ class Case(NamedTuple):
 
     def config(self) -> jaxftc.Config:
         structure = self._asdict()
-        del structure["arm"], structure["idle"]
-        return jaxftc.Config(self.arm(), duration=TICKS * 1e-3, **structure)
+        del structure["idle"]
+        return jaxftc.Config(jaxftc.puma560(), duration=TICKS * 1e-3, **structure)
 
 
 PLAIN = BASELINE | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
-FULL = Case(three_hinges, "chain", "ts", "afesmc", frozenset(BASELINE | {"control.alpha_sm"}))
-PUMA = FULL._replace(arm=jaxftc.puma560)
-SMC = Case(jaxftc.puma560, "chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
-ESMC = Case(jaxftc.puma560, "chain", "eso", "esmc", frozenset(BASELINE | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"}))
+FULL = Case("chain", "ts", "afesmc", frozenset(BASELINE | {"control.alpha_sm"}))
+SMC = Case("chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
 CASES = {
-    "three-chain-ts-afesmc": FULL,
-    "chain-ts-afesmc": PUMA,
-    "mjx-ts-afesmc": PUMA._replace(engine="mjx"),
+    "chain-ts-afesmc": FULL,
+    "mjx-ts-afesmc": FULL._replace(engine="mjx"),
     "chain-pi-smc": SMC,
-    "chain-eso-esmc": ESMC,
+    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(BASELINE | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
     "mjx-pi-smc": SMC._replace(engine="mjx"),
 }
 
@@ -143,10 +138,14 @@ def put(run: Programs, name: str, leaf: np.ndarray) -> np.ndarray:
     return vector
 
 
-def each_gain(test):
-    """Every gain of every case; those of the larger arm, which takes longest to compile, are slow tests."""
-    cases = [pytest.param(case, id=name, marks=[pytest.mark.slow] * (case is not FULL)) for name, case in CASES.items()]
-    return pytest.mark.parametrize("case", cases)(pytest.mark.parametrize("name", NAMES)(test))
+def each_gain(*, slow: tuple[str, ...]):
+    """Every gain that a case has; what takes longest to compile is a slow test."""
+
+    def decorate(test):
+        cases = [pytest.param(case, id=name, marks=[pytest.mark.slow] * (name in slow)) for name, case in CASES.items()]
+        return pytest.mark.parametrize("case", cases)(pytest.mark.parametrize("name", NAMES)(test))
+
+    return decorate
 
 
 def tolerance(slope: np.ndarray) -> dict[str, float]:
@@ -158,7 +157,7 @@ def tolerance(slope: np.ndarray) -> dict[str, float]:
     return {"rtol": 1e-4, "atol": 1e-9 + min(1e-4 * float(np.linalg.norm(slope)), 1e-7), "eps": 1e-4}
 
 
-@each_gain
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
 def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]
@@ -178,7 +177,7 @@ def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     check_vjp(value, backward, (np.zeros(slope.size),), **tolerance(slope))
 
 
-@each_gain
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
 def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]
@@ -201,7 +200,7 @@ def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
 def test_both_engines_have_the_same_gradient():
     """Twins: the same slopes through MuJoCo MJX and through the unrolled recursions."""
     mine, theirs = (programs(CASES[name]) for name in ("chain-ts-afesmc", "mjx-ts-afesmc"))
-    scenario, zero = faulty(PUMA.config()), np.zeros(length(mine))
+    scenario, zero = faulty(FULL.config()), np.zeros(length(mine))
     expected = np.asarray(theirs.slope(zero, scenario))
     np.testing.assert_allclose(mine.slope(zero, scenario), expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
@@ -212,8 +211,9 @@ def test_slopes_are_finite_for_every_kind_of_fault(channel_kind):
     config, run = FULL.config(), programs(FULL)
     scenario = jaxftc.paper_scenario("healthy", config)
     name = "fault_tau" if isinstance(channel_kind, Actuator) else "fault_q"
-    fault, n = getattr(scenario, name), config.n
-    fault = fault._replace(kind=jnp.full(n, channel_kind, jnp.int32), magnitude=jnp.full(n, 0.3), onset=jnp.full(n, 5e-3))
+    fault = getattr(scenario, name)._replace(
+        kind=jnp.full(N, channel_kind, jnp.int32), magnitude=jnp.full(N, 0.3), onset=jnp.full(N, 5e-3)
+    )
     scenario = scenario._replace(**{name: fault})
     for noise in (scenario.noise, jnp.zeros(())):
         slope = run.slope(np.zeros(length(run)), strong(scenario._replace(noise=noise)))
