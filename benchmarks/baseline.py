@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.metrics import TABLE, gated
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 PATH = Path(__file__).with_name("baseline.json")
 RESULTS = Path(__file__).with_name("results.json")  # of the same run, whole: the chart is drawn from it

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.baseline import RESULTS
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 PATH = Path(__file__).parents[1] / "docs" / "performance.svg"
 GROUPS = {  # title to (metric, label, whether it is ours)

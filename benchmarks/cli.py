@@ -12,7 +12,7 @@ import tyro
 
 from benchmarks.metrics import SECTIONS, Section
 from jaxftc.cli import common
-from jaxftc.files import write_parquet, write_text
+from jaxftc.io.files import write_parquet, write_text
 from tuning.settings import Settings
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Bench(common.Options):
         from benchmarks import speed, speed_page
         from benchmarks.results import Failed, Setup
         from benchmarks.sizes import FULL, QUICK
-        from jaxftc.parallel import cores
+        from jaxftc.compile.devices import cores
 
         sizes = QUICK if self.quick else dataclasses.replace(FULL, campaigns=(FULL.campaigns[0], self.largest))
 

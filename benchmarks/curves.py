@@ -16,11 +16,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile import jit
+from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.faults.sample import sample_scenarios
-from jaxftc.faults.scenario import take, trail
 from jaxftc.gains import Gains
+from jaxftc.scenarios.sample import sample_scenarios
+from jaxftc.scenarios.scenario import take, trail
 from tuning import transform
 from tuning.loop import Progress, fit
 from tuning.problem import Problem

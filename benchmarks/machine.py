@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import mujoco
 
-from jaxftc.parallel import cores
+from jaxftc.compile.devices import cores
 from jaxftc.version import __version__
 
 

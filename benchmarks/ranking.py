@@ -16,14 +16,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxftc import metrics
 from jaxftc.config import CONTROLS, OBSERVERS, Config
-from jaxftc.control import gain
-from jaxftc.defaults import default_gains
-from jaxftc.faults.sample import sample_scenarios
-from jaxftc.faults.scenario import CONDITIONS, Scenario
+from jaxftc.control import fuzzy_gain
+from jaxftc.evaluation import metrics
+from jaxftc.evaluation.intervals import Interval, median
 from jaxftc.gains import Gains
-from jaxftc.statistics import Interval, median
+from jaxftc.scenarios.sample import sample_scenarios
+from jaxftc.scenarios.scenario import CONDITIONS, Scenario
+from jaxftc.schemes.defaults import default_gains
 from jaxftc.types import Array
 from tuning.loop import fit
 from tuning.problem import Problem
@@ -156,7 +156,7 @@ def _pair(ranking: str, condition: int, before: str, after: str, was: np.ndarray
 def surface(config: Config, gains: Gains) -> Surface:
     """alpha_online over the ranges of Table 1: its span, and how much of it each input explains."""
     q, s = np.meshgrid(np.deg2rad(np.linspace(-100, 100, 41)), np.linspace(-1, 1, 41))
-    value = gain.surface(config, gains, q, s)
+    value = fuzzy_gain.surface(config, gains, q, s)
     spread = max(value.var(), 1e-12)
     return Surface(
         float(value.min()), float(value.max()), float(value.mean(0).var() / spread), float(value.mean(1).var() / spread)

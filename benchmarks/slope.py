@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks import arms, workloads
-from jaxftc.arm.robot import compile_robot
-from jaxftc.compile import jit
+from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.defaults import default_gains
-from jaxftc.faults.scenario import trail
+from jaxftc.robot.model import compile_robot
+from jaxftc.scenarios.scenario import trail
+from jaxftc.schemes.defaults import default_gains
 from tuning import transform
 from tuning.problem import CLIP, Problem
 from tuning.terms import OBJECTIVE

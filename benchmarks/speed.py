@@ -17,12 +17,12 @@ from benchmarks.peers import mujoco_c, numpy_loop
 from benchmarks.results import Results, Setup, Table, apart
 from benchmarks.slope import slope_error
 from benchmarks.worker import Failed, Task, Worker, compiling
-from jaxftc import closed_loop
+from jaxftc.campaigns import run as campaign_run
 from jaxftc.config import Config
-from jaxftc.faults.scenario import paper_scenario, take, trail
+from jaxftc.evaluation.online import Score
 from jaxftc.gains import Gains
-from jaxftc.monte_carlo import run as campaign_run
-from jaxftc.monte_carlo.score import Score
+from jaxftc.scenarios.scenario import paper_scenario, take, trail
+from jaxftc.simulation import closed_loop
 from tuning.settings import ROUND
 
 KERNELS_TICKS = 20  # of programs whose text is counted

@@ -97,7 +97,7 @@ class Worker:
 
 def environment(cache: Path) -> dict[str, str]:
     """For a process of its own, with a cache of its own; it sets the flags that commands set itself, or goes without."""
-    from jaxftc.compile import FLAGS, without_flag
+    from jaxftc.compile.xla import FLAGS, without_flag
 
     flags = functools.reduce(without_flag, FLAGS, os.environ.get("XLA_FLAGS", ""))
     return os.environ | {"XDG_CACHE_HOME": str(cache), "TF_CPP_MIN_LOG_LEVEL": "3", "XLA_FLAGS": flags}

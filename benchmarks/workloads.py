@@ -11,15 +11,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import closed_loop, reference, schemes
-from jaxftc.arm import plant as arm
-from jaxftc.compile import jit
+from jaxftc.campaigns import run
+from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.faults.sample import sample_scenarios
-from jaxftc.faults.scenario import Scenario, paper_scenario, take, trail
 from jaxftc.gains import Gains
-from jaxftc.monte_carlo import run
-from jaxftc.tick import Tick
+from jaxftc.robot import dynamics as arm
+from jaxftc.scenarios import reference
+from jaxftc.scenarios.sample import sample_scenarios
+from jaxftc.scenarios.scenario import Scenario, paper_scenario, take, trail
+from jaxftc.schemes import registry
+from jaxftc.schemes.realtime import Tick
+from jaxftc.simulation import closed_loop
 from jaxftc.types import Measurement, Reference
 from tuning import transform
 from tuning.descent import Descent, State, Steps
@@ -150,7 +152,7 @@ def tick(config: Config, gains: Gains, calls: int) -> Ticks:
     y, expected = (np.asarray(x) for x in (trace.y, trace.out.tau))
     wanted = reference.cubic(scenario.q_start[:, None], scenario.q_goal[:, None], config.t_final, trace.t)
     motion: Any = list(zip(*(np.asarray(x).T for x in wanted), strict=True))  # a (q, qd, qdd) a tick
-    hold = np.asarray(schemes.holding_torque(config, scenario.q_start))
+    hold = np.asarray(registry.holding_torque(config, scenario.q_start))
     compiled = Tick(config, gains)
     blank = compiled.init(np.asarray(scenario.q_start))
     state, tau, torque, seconds = blank, hold, np.zeros_like(expected), []

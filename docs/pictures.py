@@ -14,7 +14,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from jaxftc.files import aside
+from jaxftc.io.files import aside
 
 DOCS = Path(__file__).parent
 ARM = ["--speed", "0.2", "--fps", "12", "--width", "480", "--height", "360"]

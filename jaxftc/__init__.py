@@ -1,10 +1,10 @@
 """jaxftc: fault diagnosis and fault-tolerant control for robot arms, in JAX.
 
-The map of rooms: ``arm`` (plant and engines), ``laguerre`` and ``arx`` (block 1 of the paper), ``observer`` (blocks 2 to 4),
-``diagnosis`` (5 to 7), ``control`` (8, 9), ``fuzzy`` (inference), ``controller`` (one tick of all that), ``baselines`` (what
-it is measured against), ``schemes`` (the door to either), ``faults`` (scenarios), ``closed_loop`` (plant, faults and tick),
-``identify`` (the ARX read-out from data), ``metrics``, ``monte_carlo`` (campaigns and thresholds), ``logs`` and ``cli``.
-Public names load on first use, so that importing the package is quick.
+The rooms: ``robot`` (arms, their dynamics), ``observer`` (blocks 1 to 4 of the paper), ``diagnosis`` (5 to 7), ``control``
+(8, 9), ``fuzzy`` (inference), ``schemes`` (one tick of all that, and what it is measured against), ``scenarios`` (faults and
+motions), ``simulation`` (the closed loop), ``evaluation`` (figures of merit), ``campaigns``, ``logs``, ``identify``,
+``report``, ``view``, ``paper`` and ``cli``. CONTRIBUTING.md draws who may import whom. Public names load on first use, so
+that importing the package is quick.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from typing import Any
 from jaxftc.version import __version__ as __version__
 
 _ROOMS = {
-    "arm.plant": ("Plant", "forward_dynamics", "inverse_dynamics", "nominal_plant"),
-    "arm.puma560": ("puma560",),
-    "arm.robot": ("Robot", "load_robot"),
-    "closed_loop": ("Trace", "simulate"),
-    "compile": ("configure_xla",),
+    "robot.dynamics": ("Plant", "forward_dynamics", "inverse_dynamics", "nominal_plant"),
+    "robot.puma560": ("puma560",),
+    "robot.model": ("Robot", "load_robot"),
+    "simulation.closed_loop": ("Trace", "simulate"),
+    "compile.xla": ("configure_xla",),
     "config": ("Config",),
-    "controller": ("State",),
-    "defaults": ("default_gains",),
-    "faults.preset": ("Preset",),
-    "faults.preset_file": ("load_preset",),
-    "faults.sample": ("sample_scenarios",),
-    "faults.scenario": ("Scenario", "paper_scenario", "trail"),
+    "schemes.cascade": ("State",),
+    "schemes.defaults": ("default_gains",),
+    "scenarios.preset": ("Preset",),
+    "scenarios.preset_file": ("load_preset",),
+    "scenarios.sample": ("sample_scenarios",),
+    "scenarios.scenario": ("Scenario", "paper_scenario", "trail"),
     "gains": ("Gains",),
     "gains_file": ("load_gains", "save_gains"),
-    "monte_carlo.calibrate": ("calibrate",),
-    "monte_carlo.run": ("campaign",),
-    "schemes": ("init", "step"),
-    "tick": ("Tick",),
+    "campaigns.calibrate": ("calibrate",),
+    "campaigns.run": ("campaign",),
+    "schemes.registry": ("init", "step"),
+    "schemes.realtime": ("Tick",),
     "types": ("VERDICTS", "Measurement", "Output", "Reference"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}

@@ -6,9 +6,9 @@ import dataclasses
 from typing import Literal
 
 from jaxftc import checks
-from jaxftc.arm.plant import ENGINES, Engine
-from jaxftc.arm.robot import Robot
-from jaxftc.fuzzy.rules import TABLES
+from jaxftc.fuzzy.rule_table import TABLES
+from jaxftc.robot.dynamics import ENGINES, Engine
+from jaxftc.robot.model import Robot
 
 Scheme = Literal["cascade", "momentum", "ekf", "computed_torque"]
 Observer = Literal["pi", "eso", "ts", "eso_printed"]

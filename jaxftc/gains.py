@@ -17,7 +17,8 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxftc.config import Config
-from jaxftc.types import Array, trailing
+from jaxftc.numerics.batch import trailing
+from jaxftc.types import Array
 
 
 class Spec(NamedTuple):

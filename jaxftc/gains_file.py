@@ -11,8 +11,8 @@ import numpy as np
 import tomli_w
 
 from jaxftc.config import Config
-from jaxftc.files import write_text
 from jaxftc.gains import BLOCKS, Gains, Spec, build, specs
+from jaxftc.io.files import write_text
 from jaxftc.version import __version__
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 Array = jax.Array
 
@@ -56,11 +55,3 @@ class Output(NamedTuple):
     qd_hat: Array  # [n, ...] rad/s
     s: Array  # [n, ...] rad/s, sliding surface, Eq. (19)
     alpha_online: Array  # [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not used
-
-
-def trailing(leaf: Array, rank: int, axes: int) -> Array:
-    """Give a constant of own rank ``rank`` the singleton scenario axes it lacks: [n] -> [n, 1, ...].
-
-    A leaf that has scenario axes of its own keeps them.
-    """
-    return jnp.reshape(leaf, leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))

@@ -4,7 +4,7 @@ import functools
 
 from benchmarks import arms
 from jaxftc import Robot
-from jaxftc.arm.robot import compile_robot
+from jaxftc.robot.model import compile_robot
 
 
 @functools.cache

@@ -10,13 +10,13 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 import jaxftc
 from benchmarks import arms
-from jaxftc.arm.robot import compile_robot
-from jaxftc.closed_loop import Trace
-from jaxftc.faults.scenario import Scenario, take, trail
-from jaxftc.monte_carlo.calibrate import Calibration
-from jaxftc.monte_carlo.calibrate import calibrate as calibrate_on
-from jaxftc.monte_carlo.run import campaign as campaign_of
-from jaxftc.parallel import AXIS
+from jaxftc.campaigns.calibrate import Calibration
+from jaxftc.campaigns.calibrate import calibrate as calibrate_on
+from jaxftc.campaigns.run import campaign as campaign_of
+from jaxftc.compile.devices import AXIS
+from jaxftc.robot.model import compile_robot
+from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.simulation.closed_loop import Trace
 from tuning import Result, Settings
 from tuning import fit as fit_to
 

@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 
 import jaxftc
 from benchmarks.arms import serial
-from jaxftc.arm import chain, plant
-from jaxftc.arm.puma560 import TORQUE_LIMIT
-from jaxftc.arm.robot import PAYLOAD, compile_robot
-from jaxftc.faults.scenario import CONDITIONS
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot.model import PAYLOAD, compile_robot
+from jaxftc.robot.puma560 import TORQUE_LIMIT
+from jaxftc.scenarios.scenario import CONDITIONS
 from tests.arms import three_hinges
 
 ENGINES = ("mjx", "chain")
@@ -25,7 +25,7 @@ DT = 1e-3  # s
 QN = np.array([0, np.pi / 4, np.pi, 0, np.pi / 4, 0])  # rad, the pose at which the field quotes numbers
 STATES = 1000
 
-advance = jax.jit(plant.advance, static_argnums=(0, 1, 6))
+advance = jax.jit(dynamics.advance, static_argnums=(0, 1, 6))
 forward = jax.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
 inverse = jax.jit(jaxftc.inverse_dynamics, static_argnums=0)
 angles = arrays(float, 6, elements=st.floats(-np.pi, np.pi))
@@ -34,7 +34,7 @@ speeds = arrays(float, 6, elements=st.floats(-5, 5))
 
 @jax.jit
 def mass_matrix(q):
-    rows = plant.nominal_mass(jaxftc.puma560(), chain.pose(jaxftc.puma560(), q))
+    rows = dynamics.nominal_mass(jaxftc.puma560(), rigid_body.pose(jaxftc.puma560(), q))
     return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
 
 
@@ -65,7 +65,7 @@ def step_in_c(robot: jaxftc.Robot, plants: jaxftc.Plant, q, qd, tau) -> tuple[np
     model.opt.timestep = DT
     before = {name: getattr(model, name).copy() for name in ("body_mass", "body_inertia", "dof_armature", "dof_damping")}
     links = [model.jnt_bodyid[j] for j in range(6)]
-    friction = np.asarray(plant.coulomb(robot, qd))
+    friction = np.asarray(dynamics.coulomb(robot, qd))
     after = np.empty((2, *q.shape))
     for k in range(q.shape[1]):
         mass, armature, damping, coulomb = (
@@ -111,7 +111,7 @@ def test_acceleration_of_the_literature(puma, engine):
 
 def test_coulomb_friction_at_speed_is_that_of_the_motors_times_the_gear(puma):
     for speed, expected in ((1.0, puma.coulomb_positive), (-1.0, -puma.coulomb_negative), (0.0, np.zeros(6))):
-        np.testing.assert_allclose(plant.coulomb(puma, np.full(6, speed)), expected, rtol=1e-12)
+        np.testing.assert_allclose(dynamics.coulomb(puma, np.full(6, speed)), expected, rtol=1e-12)
     assert puma.coulomb_positive[0] == pytest.approx(0.395 * 62.6111)
     assert puma.coulomb_negative[5] == pytest.approx(10.5e-3 * 76.686)
 
@@ -168,7 +168,7 @@ def test_solve_is_that_of_numpy():
         root = draw.normal(size=(50, n, n))
         matrix, right = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n), draw.normal(size=(50, n))
         rows = [[jnp.asarray(matrix[:, i, j]) for j in range(n)] for i in range(n)]
-        got = np.stack(chain.solve(rows, list(jnp.asarray(right.T))), axis=-1)
+        got = np.stack(rigid_body.solve(rows, list(jnp.asarray(right.T))), axis=-1)
         np.testing.assert_allclose(got, np.linalg.solve(matrix, right[..., None])[..., 0], rtol=1e-9, atol=1e-9)
 
 
@@ -182,7 +182,7 @@ def test_the_slope_of_solve_is_that_of_numpys_solution():
 
     def solution(matrix, right):
         rows = [[0.25 if {i, j} == {0, 2} else matrix[i, j] for j in range(3)] for i in range(3)]
-        return jnp.stack(chain.solve(rows, list(right)))
+        return jnp.stack(rigid_body.solve(rows, list(right)))
 
     x = np.linalg.solve(matrix, right)
     slope = np.linalg.solve(matrix, push - change @ x)
@@ -200,14 +200,14 @@ def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
     draw = np.random.default_rng(arm)
     q, qd, qdd = (jnp.asarray(draw.normal(size=robot.n)) for _ in range(3))
     mass, payload = jnp.asarray(draw.uniform(0.5, 2, robot.n)), jnp.asarray(1.5)
-    links = [chain.link_inertia(link, mass[i]) for i, link in enumerate(robot.links)]
-    links[-1] = chain._join(links[-1], chain.link_inertia(robot.payload_link, payload))
-    grouped, at = chain.scaled_inertias(robot, mass, payload), chain.pose(robot, q)
+    links = [rigid_body.link_inertia(link, mass[i]) for i, link in enumerate(robot.links)]
+    links[-1] = rigid_body._join(links[-1], rigid_body.link_inertia(robot.payload_link, payload))
+    grouped, at = rigid_body.scaled_inertias(robot, mass, payload), rigid_body.pose(robot, q)
     assert all(isinstance(link.mass, float) and link.mass == link.moment[2] == link.tensor[1] == 0 for link in grouped)
-    lanes = chain.lanes(qd), chain.lanes(qdd)
-    forces = [np.asarray(chain.newton_euler(robot, bodies, at, *lanes)) for bodies in (grouped, links)]
+    lanes = rigid_body.lanes(qd), rigid_body.lanes(qdd)
+    forces = [np.asarray(rigid_body.newton_euler(robot, bodies, at, *lanes)) for bodies in (grouped, links)]
     np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-9)
-    matrices = [np.asarray(chain.mass_matrix(robot, bodies, at)) for bodies in (grouped, links)]
+    matrices = [np.asarray(rigid_body.mass_matrix(robot, bodies, at)) for bodies in (grouped, links)]
     np.testing.assert_allclose(*matrices, rtol=1e-9, atol=1e-9)
 
 
@@ -215,11 +215,11 @@ def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
 def powers(q, qd, qdd):
     """(power into the links, rate of their kinetic energy) W, gravity and friction left out."""
     robot = jaxftc.puma560()
-    at, links = chain.pose(robot, q), chain.nominal_inertias(robot)
-    torque = jnp.stack(chain.newton_euler(robot, links, at, chain.lanes(qd), chain.lanes(qdd), gravity=False))
+    at, links = rigid_body.pose(robot, q), rigid_body.nominal_inertias(robot)
+    torque = jnp.stack(rigid_body.newton_euler(robot, links, at, rigid_body.lanes(qd), rigid_body.lanes(qdd), gravity=False))
 
     def energy(q, qd):
-        rows = chain.mass_matrix(robot, links, chain.pose(robot, q))
+        rows = rigid_body.mass_matrix(robot, links, rigid_body.pose(robot, q))
         return 0.5 * sum(row[j] * qd[i] * qd[j] for i, row in enumerate(rows) for j in range(robot.n))
 
     return qd @ torque, jax.jvp(energy, (q, qd), (qd, qdd))[1]
@@ -288,7 +288,7 @@ def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(arm)
     weight = np.random.default_rng(2).normal(size=(2, arm.n, 8))
 
     def cost(engine, plants, q, qd, tau):
-        after = plant.advance(arm, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
+        after = dynamics.advance(arm, engine, plants, q, qd, plants.torque_constant * tau, 0.01)
         return sum((w * x).sum() for w, x in zip(weight, after, strict=True))
 
     slopes = jax.jit(jax.grad(cost, argnums=(1, 2, 3, 4)), static_argnums=0)

@@ -9,15 +9,14 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import schemes
-from jaxftc.arm import chain, plant
-from jaxftc.arm.robot import compile_robot
-from jaxftc.baselines import ekf, momentum
 from jaxftc.config import SCHEMES
-from jaxftc.faults.kinds import Sensor
 from jaxftc.gains import align
 from jaxftc.observer import super_twisting
-from jaxftc.reference import cubic
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot.model import compile_robot
+from jaxftc.scenarios.faults import Sensor
+from jaxftc.scenarios.reference import cubic
+from jaxftc.schemes import ekf, momentum, registry
 from jaxftc.types import ACTUATOR
 from tests.arms import three_hinges
 from tests.twins import printed
@@ -72,9 +71,7 @@ def test_unknown_schemes_and_states_of_another_are_refused(config):
     gains, q = jaxftc.default_gains(config), jnp.zeros(N)
     told = jaxftc.Reference(q, q, q), jaxftc.Measurement(q, q)
     state = jaxftc.init(of(config, "momentum"), gains, q)
-    with pytest.raises(
-        ValueError, match=r"init with the same config, scheme 'cascade', got jaxftc.baselines.momentum.State"
-    ):
+    with pytest.raises(ValueError, match=r"init with the same config, scheme 'cascade', got jaxftc.schemes.momentum.State"):
         jaxftc.step(config, gains, state, *told)
 
 
@@ -84,7 +81,7 @@ def test_every_scheme_starts_by_holding_the_arm(config, scheme):
     held = jaxftc.inverse_dynamics(config.robot, q, 0 * q, 0 * q)
     state = jaxftc.init(config, jaxftc.default_gains(config), q)
     np.testing.assert_allclose(state.pending.tau, held, atol=1e-12)
-    np.testing.assert_allclose(schemes.holding_torque(config, q), held, atol=1e-12)
+    np.testing.assert_allclose(registry.holding_torque(config, q), held, atol=1e-12)
     np.testing.assert_array_equal(state.q, q)
 
 
@@ -121,7 +118,7 @@ def test_computed_torque_tracks_the_papers_motion(config):
 
 
 def matrix(lanes, q):
-    return jnp.stack([chain.stack(row, q) for row in lanes])
+    return jnp.stack([rigid_body.stack(row, q) for row in lanes])
 
 
 # Momentum observer.
@@ -133,17 +130,17 @@ def test_momentum_and_its_drift_against_derivatives(puma):
     q, qd = (jnp.asarray(random.normal(size=N)) for _ in range(2))
 
     def mass(q):
-        return matrix(plant.nominal_mass(puma, chain.pose(puma, q)), q)
+        return matrix(dynamics.nominal_mass(puma, rigid_body.pose(puma, q)), q)
 
     p, drift = momentum.momentum(puma, q, qd)
     np.testing.assert_allclose(p, mass(q) @ qd, atol=1e-12)
-    at = chain.pose(puma, q)
-    gravity = plant.nominal_torque(puma, at, 0 * q, 0 * q)
-    friction = puma.damping * qd + plant.coulomb(puma, qd)
+    at = rigid_body.pose(puma, q)
+    gravity = dynamics.nominal_torque(puma, at, 0 * q, 0 * q)
+    friction = puma.damping * qd + dynamics.coulomb(puma, qd)
     energy = jax.grad(lambda q: 0.5 * qd @ mass(q) @ qd)(q)  # C^T qd
     np.testing.assert_allclose(drift, energy - gravity - friction, atol=1e-11)
     turning = (mass(q + 1e-6 * qd) - mass(q - 1e-6 * qd)) @ qd / 2e-6  # M' qd
-    coriolis = plant.nominal_torque(puma, at, qd, 0 * qd) - puma.damping * qd - gravity  # C qd
+    coriolis = dynamics.nominal_torque(puma, at, qd, 0 * qd) - puma.damping * qd - gravity  # C qd
     np.testing.assert_allclose(drift, turning - coriolis - gravity - friction, atol=1e-7)
 
 
@@ -256,7 +253,7 @@ def test_the_filters_covariance_stays_positive_in_single_precision(paper_arm):
             state, out = jaxftc.step(config, gains, state, *told)
             return state, (state.belief.cov, out)
 
-        first = schemes.holding_torque(config, scenario.q_start)
+        first = registry.holding_torque(config, scenario.q_start)
         told = desired, jaxftc.Measurement(trace.y, jnp.vstack([first[None], trace.out.tau[:-1]]))
         start = jaxftc.init(config, gains, scenario.q_start)
         covs, out = jax.jit(lambda: jax.lax.scan(body, start, told)[1])()
@@ -341,7 +338,7 @@ def test_the_printed_observer_runs_the_printed_equation(config):
     out = jaxftc.simulate(config, gains, scenario, jax.random.key(0)).out
     errors, psi = np.asarray(out.residual_q), []
     for q_hat, residual in zip(out.q_hat, out.residual_tau, strict=True):
-        mass = matrix(plant.nominal_mass(config.robot, chain.pose(config.robot, q_hat)), q_hat)
+        mass = matrix(dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, q_hat)), q_hat)
         psi.append(np.linalg.solve(np.asarray(mass), np.asarray(residual)))
     assert np.abs(psi[1:]).min() > 20.0  # the relay's own amplitude is 30 rad/s^2
     late = [[printed.psi_sm_eq7(x, 120.0, 30.0) for x in e] for e in errors[:-1]]

@@ -36,10 +36,10 @@ from benchmarks.curves import Curve
 from benchmarks.peers import dynamics, mujoco_c, numpy_loop, urdf
 from benchmarks.slope import slope_error
 from benchmarks.worker import environment
-from jaxftc.arm.robot import compile_robot
 from jaxftc.cli.main import main
-from jaxftc.closed_loop import encoder_noise
-from jaxftc.compile import FLAGS, with_flag
+from jaxftc.compile.xla import FLAGS, with_flag
+from jaxftc.robot.model import compile_robot
+from jaxftc.simulation.closed_loop import encoder_noise
 from tuning import Progress, Settings
 from tuning.settings import GRADIENT_COST, METHODS
 

@@ -15,13 +15,13 @@ import pytest
 import jaxftc
 from jaxftc import stages
 from jaxftc.config import SCHEMES
-from jaxftc.control import sliding, surface
-from jaxftc.diagnosis import decide, threshold
-from jaxftc.faults.kinds import Sensor
-from jaxftc.faults.scenario import CONDITIONS
+from jaxftc.control import sliding_mode, surface
+from jaxftc.diagnosis import decision, statistics
 from jaxftc.gains import align
-from jaxftc.observer import adaptive, cascade, pi, super_twisting
-from jaxftc.reference import cubic
+from jaxftc.observer import cascade, pi, super_twisting, takagi_sugeno
+from jaxftc.scenarios.faults import Sensor
+from jaxftc.scenarios.reference import cubic
+from jaxftc.scenarios.scenario import CONDITIONS
 from jaxftc.types import SENSOR
 from tests.arms import three_hinges
 
@@ -45,8 +45,8 @@ class Block:
 def adapt_fuzzy(config, gains, state, e, strange, change, residual_tau):
     del config
     zero = jnp.zeros_like(e)
-    jump = adaptive.judge(gains.observer, strange, change, state.b, zero, zero)
-    return adaptive.step(gains.observer, state, e, jump, residual_tau, gains.diagnosis.alpha_tau), jump
+    jump = takagi_sugeno.judge(gains.observer, strange, change, state.b, zero, zero)
+    return takagi_sugeno.step(gains.observer, state, e, jump, residual_tau, gains.diagnosis.alpha_tau), jump
 
 
 def observe(config, gains, state, y, u, expected, residual_tau):
@@ -60,9 +60,9 @@ def observe(config, gains, state, y, u, expected, residual_tau):
 def judge(config, gains, state, s_tau, s_q, y, h_s, qd_hat):
     """The decision on a reading of which only these parts are looked at."""
     never, zero = jnp.zeros(y.shape, bool), jnp.zeros_like(y)
-    jump = adaptive.Jump(h_s, jnp.sign(h_s), zero, zero)
+    jump = takagi_sugeno.Jump(h_s, jnp.sign(h_s), zero, zero)
     seen = cascade.Innovation(y, y, zero, jump, zero, zero, y, zero, zero, never, never)
-    return decide.step(config, gains, state, s_tau, s_q, s_tau, seen, qd_hat)
+    return decision.step(config, gains, state, s_tau, s_q, s_tau, seen, qd_hat)
 
 
 def track(config, gains, state, q, *reference):
@@ -74,7 +74,7 @@ def track(config, gains, state, q, *reference):
 def command(config, gains, state, q, s, errord, psi, qdd_ref):
     desired = jaxftc.Reference(q, q, qdd_ref)
     on = stages.of(config)
-    return state, sliding.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired, on)
+    return state, sliding_mode.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired, on)
 
 
 def control_tick(config, gains, state, *signals):
@@ -108,18 +108,18 @@ SMALL = [
     ),
     Block(
         "adaptive",
-        lambda config, gains, q: adaptive.State(jnp.zeros_like(q), jnp.zeros_like(q)),
+        lambda config, gains, q: takagi_sugeno.State(jnp.zeros_like(q), jnp.zeros_like(q)),
         adapt_fuzzy,
         (1e-3, 1e-3, 1e-3, 3.0),
     ),
     *(Block(f"cascade-{o}", cascade.init, observe, (1.0, 10.0, 10.0, 3.0), (("observer", o),)) for o in ("pi", "eso", "ts")),
     Block(
         "threshold",
-        lambda config, gains, q: threshold.init(q),
-        lambda config, gains, state, *residuals: threshold.step(gains.diagnosis, state, *residuals),
+        lambda config, gains, q: statistics.init(q),
+        lambda config, gains, state, *residuals: statistics.step(gains.diagnosis, state, *residuals),
         (3.0, 0.02),
     ),
-    Block("decide", lambda config, gains, q: decide.init(q), judge, (3.0, 0.02, 1.0, 1.0, 2.0)),
+    Block("decide", lambda config, gains, q: decision.init(q), judge, (3.0, 0.02, 1.0, 1.0, 2.0)),
     Block("surface", lambda config, gains, q: (q, jnp.zeros_like(q)), track, (1.0, 1.0, 2.0, 10.0)),
     *(
         Block(f"law-{c}", lambda config, gains, q: (), command, (2.0, 1.0, 1.0, 5.0, 10.0), (("control", c),))

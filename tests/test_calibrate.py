@@ -8,12 +8,9 @@ import pytest
 
 import jaxftc
 from jaxftc import logs
-from jaxftc.faults.scenario import paper_scenario
-from jaxftc.files import write_parquet
-from jaxftc.identify import from_trace
-from jaxftc.monte_carlo import calibrate as module
-from jaxftc.monte_carlo import run
-from jaxftc.monte_carlo.calibrate import (
+from jaxftc.campaigns import calibrate as module
+from jaxftc.campaigns import run
+from jaxftc.campaigns.calibrate import (
     LEAST_Q,
     Peaks,
     allowed,
@@ -23,6 +20,9 @@ from jaxftc.monte_carlo.calibrate import (
     with_thresholds,
     without_faults,
 )
+from jaxftc.identify import from_trace
+from jaxftc.io.files import write_parquet
+from jaxftc.scenarios.scenario import paper_scenario
 from tests.arms import three_hinges
 
 

@@ -18,13 +18,14 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.campaigns import spec as jobs
+from jaxftc.campaigns import store
 from jaxftc.cli import common
 from jaxftc.cli.campaign import SchemeName
 from jaxftc.cli.main import main
-from jaxftc.faults.preset_file import load_preset
-from jaxftc.files import write_parquet
-from jaxftc.monte_carlo import job as jobs
-from jaxftc.monte_carlo import store, summary, versus
+from jaxftc.evaluation import comparison, summary
+from jaxftc.io.files import write_parquet
+from jaxftc.scenarios.preset_file import load_preset
 
 SHORT = ["--duration", "0.4", "--seed", "5"]
 PROGRAM = "from jaxftc.cli.main import main; main()"
@@ -32,7 +33,7 @@ PROGRAM = "from jaxftc.cli.main import main; main()"
 
 def with_job(change):
     """The program with a constant of ``job`` changed."""
-    return f"from jaxftc.monte_carlo import job; job.{change}; {PROGRAM}"
+    return f"from jaxftc.campaigns import spec; spec.{change}; {PROGRAM}"
 
 
 @pytest.fixture(scope="module")
@@ -263,7 +264,7 @@ def test_a_full_disk_is_told_and_leaves_whole_files(tmp_path):
     """Limited file size stands in for a full disk: the write fails half way."""
     program = f"""
 import pathlib, resource, signal, numpy as np
-from jaxftc.files import write_parquet
+from jaxftc.io.files import write_parquet
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 folder = pathlib.Path({str(tmp_path)!r})
 write_parquet(folder / "chunk-000000.parquet", {{"x": np.zeros(10)}})
@@ -322,20 +323,20 @@ def test_schemes_are_compared_scenario_by_scenario():
     """Hand-made rows: a scheme that is late by a factor, and as often early as late."""
     kind = np.array(["actuator"] * 40 + ["normal"] * 5)
     delay = np.where(kind == "normal", np.nan, 0.010)
-    base = {name: np.full(45, 1.0) for name in versus.ERRORS} | {"kind": kind, "delay_s": delay}
+    base = {name: np.full(45, 1.0) for name in comparison.ERRORS} | {"kind": kind, "delay_s": delay}
     slow = base | {"delay_s": delay * 2, "tracking_rmse_deg": np.full(45, 0.5)}
     blind = base | {"delay_s": np.where(kind == "normal", np.nan, np.inf)}
-    (pair, other) = versus.against({"ours": base, "slow": slow, "blind": blind})
+    (pair, other) = comparison.against({"ours": base, "slow": slow, "blind": blind})
     assert (pair["earlier"], pair["later"], pair["same"], pair["delay"]) == (40, 0, 0, "wins")
     assert pair["tracking_rmse_deg"]["value"] == 2.0 and pair["tracking_rmse_deg"]["word"] == "loses"
     assert pair["chattering"]["word"] == "ties" and other["delay"] == "wins"
-    text = versus.pairs_as_text([pair])
+    text = comparison.pairs_as_text([pair])
     assert "wins delay; loses tracking (2.00); ties" in text
 
 
 def test_the_best_of_each_column_carries_a_star():
     def result(detection, delay):
-        errors = dict.fromkeys(versus.ERRORS, 1.0)
+        errors = dict.fromkeys(comparison.ERRORS, 1.0)
         shares = dict.fromkeys(("false_alarm_runs", "isolation_kind", "isolation_joint"), 0.5)
         return shares | {
             "calibration": None,
@@ -345,7 +346,7 @@ def test_the_best_of_each_column_carries_a_star():
             "errors": errors,
         }
 
-    one, other = versus.cells({"one": result(0.9, 0.010), "other": result(0.8, None)})
+    one, other = comparison.cells({"one": result(0.9, 0.010), "other": result(0.8, None)})
     assert one[2] == "90.00*" and other[2] == "80.00" and one[5] == "10*" and other[5] == "missed"
     assert "*" not in one[1], "a calibrated share of false alarms is no merit"
 

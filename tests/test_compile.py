@@ -14,10 +14,11 @@ import pytest
 from jax import lax
 
 import jaxftc
-from jaxftc import compile as compiling
-from jaxftc import program_cache, stages
-from jaxftc.barrier import stack, store, unstack
-from jaxftc.closed_loop import run_loop
+from jaxftc import stages
+from jaxftc.compile import program_cache
+from jaxftc.compile import xla as compiling
+from jaxftc.numerics.barrier import stack, store, unstack
+from jaxftc.simulation.closed_loop import run_loop
 from tests.arms import three_hinges
 
 KERNELS = 450  # a tick of three hinges without loops of several results; 250 to 330 on the versions seen
@@ -253,7 +254,7 @@ def test_stages_as_data_give_what_the_config_gives(short, observer):
 
 
 def test_observers_and_controllers_share_one_program(short):
-    from jaxftc.closed_loop import _PROGRAMS
+    from jaxftc.simulation.closed_loop import _PROGRAMS
 
     some, before = scenarios(short, 3), None
     for observer, control in (("pi", "smc"), ("eso", "esmc"), ("ts", "afesmc")):

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxftc
-from jaxftc import metrics
-from jaxftc.diagnosis import decide
-from jaxftc.faults.kinds import Actuator, Sensor
-from jaxftc.faults.scenario import paper_scenario, stack, trail
-from jaxftc.observer.adaptive import Jump
+from jaxftc.diagnosis import decision
+from jaxftc.evaluation import metrics
 from jaxftc.observer.cascade import Innovation
+from jaxftc.observer.takagi_sugeno import Jump
+from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.scenario import paper_scenario, stack, trail
 
 
 def blank(n):
@@ -32,7 +32,7 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
     s_q, h_s = zero if s_q is None else s_q, zero if h_s is None else h_s
     y = np.cumsum(np.full((ticks, n), 1e-3), 0) if y is None else y
     seen = blank(n)
-    state, verdicts = decide.init(jnp.asarray(y[0]) - 1e-3), []
+    state, verdicts = decision.init(jnp.asarray(y[0]) - 1e-3), []
     for k in range(ticks):
         now = seen._replace(
             y=jnp.asarray(y[k]),
@@ -54,13 +54,13 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
     return np.array(verdicts)
 
 
-_decide = jax.jit(decide.step, static_argnums=0)
+_decide = jax.jit(decision.step, static_argnums=0)
 
 
 @pytest.fixture(scope="module")
 def two():
     """A two-joint arm is enough for logic."""
-    from jaxftc.arm.robot import compile_robot
+    from jaxftc.robot.model import compile_robot
 
     inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
     return jaxftc.Config(
@@ -161,7 +161,7 @@ def test_many_jumps_are_noise(two):
 def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
     h = np.zeros((40, 2))
     h[10:40, 0], h[10:40, 1] = 1.0, np.resize([1.0, -1.0], 30)
-    gains, state = jaxftc.default_gains(two), decide.init(jnp.zeros(2))
+    gains, state = jaxftc.default_gains(two), decision.init(jnp.zeros(2))
     for k in range(40):
         jump = Jump(jnp.abs(h[k]), jnp.sign(h[k]), jnp.zeros(2), jnp.zeros(2))
         seen = blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump)

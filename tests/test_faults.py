@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 import jaxftc
 from jaxftc import checks
-from jaxftc.closed_loop import encoder_noise
-from jaxftc.faults import inject, profiles
-from jaxftc.faults.kinds import Actuator, Fault, Sensor, no_fault
-from jaxftc.faults.scenario import CONDITIONS, paper_scenario, stack, trail
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
+from jaxftc.scenarios.scenario import CONDITIONS, paper_scenario, stack, trail
+from jaxftc.simulation import fault_injection, fault_profiles
+from jaxftc.simulation.closed_loop import encoder_noise
 from tests.arms import three_hinges
 
 LIMIT = jnp.array([10.0, jnp.inf])
@@ -27,13 +27,13 @@ def fault(kind, magnitude, onset=0.1, clear=0.3, rise=0.0, period=jnp.inf, duty=
 
 
 def deliver(law, tau, t, last=3.0):
-    state = inject.State(jnp.full(2, last), jnp.zeros(2))
-    return np.asarray(inject.deliver(law, state, jnp.asarray(t), jnp.full(2, float(tau)), LIMIT)[1])
+    state = fault_injection.State(jnp.full(2, last), jnp.zeros(2))
+    return np.asarray(fault_injection.deliver(law, state, jnp.asarray(t), jnp.full(2, float(tau)), LIMIT)[1])
 
 
 def read(law, q, t, noise=0.0, last=0.7):
-    state = inject.State(jnp.zeros(2), jnp.full(2, last))
-    _, y, truth = inject.read(law, state, jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
+    state = fault_injection.State(jnp.zeros(2), jnp.full(2, last))
+    _, y, truth = fault_injection.read(law, state, jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
     return np.asarray(y), np.asarray(truth)
 
 
@@ -80,35 +80,35 @@ def test_dropout_is_no_reading_and_no_false_truth():
 
 
 def test_stuck_and_frozen_keep_what_was_there_at_onset():
-    law, state = fault(Actuator.STUCK, 0.0), inject.State(jnp.zeros(2), jnp.zeros(2))
+    law, state = fault(Actuator.STUCK, 0.0), fault_injection.State(jnp.zeros(2), jnp.zeros(2))
     for k in range(30):
-        state, tau = inject.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT)
+        state, tau = fault_injection.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT)
     np.testing.assert_array_equal(tau, 9.0)  # onset at 0.1 s: the tick before carried 9
 
 
 @given(st.floats(0, 1), st.floats(0, 0.5), st.floats(0.01, 0.3), st.floats(0.02, 0.3), st.floats(0.1, 1))
 def test_size_is_a_share_and_zero_outside_its_window(t, onset, rise, period, duty):
     law = fault(Actuator.BIAS, 1.0, onset=onset, clear=onset + 0.4, rise=rise, period=period, duty=duty)
-    size = np.asarray(profiles.size(law, jnp.asarray(t)))
+    size = np.asarray(fault_profiles.size(law, jnp.asarray(t)))
     assert ((size >= 0) & (size <= 1)).all()
     if not onset <= t <= onset + 0.4:
         assert (size == 0).all()
-    abrupt = np.asarray(profiles.size(law._replace(rise=jnp.zeros(2)), jnp.asarray(t)))
+    abrupt = np.asarray(fault_profiles.size(law._replace(rise=jnp.zeros(2)), jnp.asarray(t)))
     assert (abrupt >= size).all()
 
 
 def test_intermittent_fault_comes_and_goes():
     law = fault(Actuator.BIAS, 1.0, onset=0.1, clear=jnp.inf, period=0.1, duty=0.4)
-    there = [bool(profiles.present(law, jnp.asarray(t))[0]) for t in (0.05, 0.11, 0.139, 0.15, 0.19, 0.21, 0.25)]
+    there = [bool(fault_profiles.present(law, jnp.asarray(t))[0]) for t in (0.05, 0.11, 0.139, 0.15, 0.19, 0.21, 0.25)]
     assert there == [False, True, True, False, False, True, False]
 
 
 def test_magnitudes_have_gradients():
     for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION):
         gradient = jax.grad(
-            lambda m, k=kind: inject.deliver(
+            lambda m, k=kind: fault_injection.deliver(
                 fault(k, 0.5)._replace(magnitude=m),
-                inject.State(jnp.ones(2), jnp.ones(2)),
+                fault_injection.State(jnp.ones(2), jnp.ones(2)),
                 jnp.asarray(0.2),
                 jnp.full(2, 8.0),
                 LIMIT,

@@ -11,8 +11,8 @@ import pytest
 from jax.test_util import check_jvp, check_vjp
 
 import jaxftc
-from jaxftc.faults.kinds import Actuator, Sensor
 from jaxftc.gains import specs
+from jaxftc.scenarios.faults import Actuator, Sensor
 from tests.arms import three_hinges
 
 N, TICKS = 6, 30

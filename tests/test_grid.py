@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.campaigns.run import replay
 from jaxftc.config import CONTROLS, OBSERVERS, SCHEMES
-from jaxftc.faults.scenario import take
-from jaxftc.monte_carlo.run import replay
+from jaxftc.scenarios.scenario import take
 from tests import grid
 from tests.grid import Row
 from tuning import OBJECTIVE, Problem

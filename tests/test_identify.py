@@ -11,10 +11,11 @@ import pytest
 from twins import laguerre as twin
 
 import jaxftc
-from jaxftc import arx, identify
-from jaxftc.arm import chain, plant
-from jaxftc.faults.scenario import paper_scenario
+from jaxftc import identify
 from jaxftc.identify import Log
+from jaxftc.observer import arx
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.scenarios.scenario import paper_scenario
 
 CLAIM = np.radians(0.05)  # rad, the paper's bound on the error of a healthy model
 NOISE = 3e-5  # rad
@@ -33,7 +34,7 @@ def rigid(paper_arm):
 def torque(rigid):
     """Config and gains of an arm with the constant inertia it has in its zero position."""
     config, gains = rigid
-    rows = plant.nominal_mass(config.robot, chain.pose(config.robot, jnp.zeros(config.n)))
+    rows = dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, jnp.zeros(config.n)))
     mass = np.array([[float(entry) for entry in row] for row in rows])
     kappa_b = jnp.asarray(np.linalg.inv(mass)[:, :, None] * np.asarray(gains.arx.kappa_b)[:, 0])
     arx_gains = dataclasses.replace(gains.arx, kappa_b=kappa_b)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxftc import metrics
+from jaxftc.evaluation import metrics
 from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import special
 
-from jaxftc import noise
+from jaxftc.simulation import noise
 
 TICKS = 40
 

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import pytest
 
 import jaxftc
-from jaxftc import metrics
-from jaxftc.faults.scenario import CONDITIONS, PAPER_ANGLE, PAPER_TORQUE, paper_scenario, stack, trail
+from jaxftc.evaluation import metrics
+from jaxftc.scenarios.scenario import CONDITIONS, PAPER_ANGLE, PAPER_TORQUE, paper_scenario, stack, trail
 
 # Figures to meet with one set of gains: torque estimate N m, angle estimate deg, tracking deg, each rms over joints and one
 # second, at the paper's fault sizes and at half of them. They are those of a plain reference implementation of the same

@@ -8,14 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.parallel import over_scenarios
+from jaxftc.compile.devices import over_scenarios
 
 PROGRAM = """
 import jax
 jax.config.update("jax_num_cpu_devices", 3)
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp, numpy as np
-from jaxftc.parallel import over_scenarios
+from jaxftc.compile.devices import over_scenarios
 
 def fun(shared, split):
     return {"a": shared * split["x"] ** 2, "b": split["x"].sum(0) + split["id"]}

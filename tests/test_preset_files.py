@@ -15,12 +15,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxftc
-from jaxftc.faults.laws import Choice, Normal, Uniform, extent, quantile
-from jaxftc.faults.preset import Encoder, Incipient, Intermittent, Joints, Motion, PlantLaws, Preset, Shares, Times
-from jaxftc.faults.preset_kinds import ActuatorFaults, AngleBias, Drift, Kind, SensorFaults, Share, Signed, Sized, TorqueBias
-from jaxftc.faults.sample import PRESET_NAMES, as_dict, load_preset
+from jaxftc.scenarios.distributions import Choice, Normal, Uniform, extent, quantile
+from jaxftc.scenarios.preset import Encoder, Incipient, Intermittent, Joints, Motion, PlantLaws, Preset, Shares, Times
+from jaxftc.scenarios.preset_kinds import (
+    ActuatorFaults,
+    AngleBias,
+    Drift,
+    Kind,
+    SensorFaults,
+    Share,
+    Signed,
+    Sized,
+    TorqueBias,
+)
+from jaxftc.scenarios.sample import PRESET_NAMES, as_dict, load_preset
 
-BUILT_IN = importlib.resources.files("jaxftc.faults.presets")
+BUILT_IN = importlib.resources.files("jaxftc.scenarios.presets")
 
 
 @pytest.fixture
@@ -48,7 +58,7 @@ def test_the_names_are_the_files_and_paper():
 
 
 def test_names_cost_no_import():
-    program = "import sys, jaxftc, jaxftc.faults.presets as p; assert p.PRESET_NAMES; print(*sys.modules)"
+    program = "import sys, jaxftc, jaxftc.scenarios.presets as p; assert p.PRESET_NAMES; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert not {"jax", "numpy", "pydantic"} & set(loaded)
 

@@ -11,13 +11,13 @@ import pytest
 from scipy import stats
 
 import jaxftc
-from jaxftc import metrics
-from jaxftc.arm.robot import compile_robot
-from jaxftc.faults.kinds import Actuator, Sensor
-from jaxftc.faults.laws import Choice, Normal, Uniform, quantile
-from jaxftc.faults.preset import Encoder, Joints, Motion, PlantLaws, Preset, Shares
-from jaxftc.faults.preset_kinds import ActuatorFaults, AngleBias, Kind, SensorFaults, Share, TorqueBias, kinds
-from jaxftc.faults.sample import PRESET_NAMES, draw_all, load_preset
+from jaxftc.evaluation import metrics
+from jaxftc.robot.model import compile_robot
+from jaxftc.scenarios.distributions import Choice, Normal, Uniform, quantile
+from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.preset import Encoder, Joints, Motion, PlantLaws, Preset, Shares
+from jaxftc.scenarios.preset_kinds import ActuatorFaults, AngleBias, Kind, SensorFaults, Share, TorqueBias, kinds
+from jaxftc.scenarios.sample import PRESET_NAMES, draw_all, load_preset
 
 LIMIT = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])
 DRAWN = PRESET_NAMES[1:]

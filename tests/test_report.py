@@ -13,9 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxftc
-from jaxftc import paper
-from jaxftc.report import diagram, figures
-from jaxftc.report.demo import demo_page
+from jaxftc.paper import diagram
+from jaxftc.paper import experiment as paper
+from jaxftc.paper.page import demo_page
+from jaxftc.report import figures
 from jaxftc.report.figures import MOST, thin, trace_page, windows
 from jaxftc.report.page import embed, page, table
 

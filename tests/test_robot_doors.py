@@ -16,9 +16,9 @@ import pytest
 import tomli_w
 
 import jaxftc
-from jaxftc.arm import plant
-from jaxftc.arm.robot import PAYLOAD, compile_robot
-from jaxftc.faults.scenario import stack, trail
+from jaxftc.robot import dynamics
+from jaxftc.robot.model import PAYLOAD, compile_robot
+from jaxftc.scenarios.scenario import stack, trail
 
 # Arbitrary axes, an anchor off its body's origin, a turned base that is welded to the world, gravity that is not along z,
 # an angle at which the arm is drawn, a body welded to a link, principal axes that are not the link's.
@@ -105,7 +105,7 @@ ONE_HINGE = """
 ARMS = {"two links": ("arm.xml", TWO_LINKS), "seven hinges": ("arm.xml", SEVEN_HINGES), "urdf": ("arm.urdf", URDF)}
 ARMS["one hinge"] = ("arm.xml", ONE_HINGE)
 
-accelerations = jax.jit(plant.acceleration, static_argnums=(0, 1))
+accelerations = jax.jit(dynamics.acceleration, static_argnums=(0, 1))
 
 
 def load(folder: Path, text: str, name: str = "arm.xml") -> jaxftc.Robot:
@@ -123,7 +123,7 @@ def acceleration_in_c(robot: jaxftc.Robot, payload: float, q, qd, tau) -> np.nda
     model.body_mass[model.body(PAYLOAD).id] = payload
     data = mujoco.MjData(model)
     mujoco.mj_setConst(model, data)
-    friction = np.asarray(plant.coulomb(robot, qd))
+    friction = np.asarray(dynamics.coulomb(robot, qd))
     qdd = np.empty_like(q)
     for k in range(q.shape[1]):
         data.qpos[:], data.qvel[:], data.qfrc_applied[:] = q[:, k], qd[:, k], tau[:, k] - friction[:, k]

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from twins import score as twin
 
 import jaxftc
-from jaxftc import metrics
-from jaxftc.faults.kinds import Actuator, Sensor
-from jaxftc.monte_carlo import run, score, table
+from jaxftc.campaigns import run
+from jaxftc.evaluation import metrics, online, table
+from jaxftc.scenarios.faults import Actuator, Sensor
 from tests.arms import three_hinges
 
 TICKS, N = 200, three_hinges().n
@@ -48,7 +48,7 @@ def trace(setting):
     return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, jaxftc.trail(scenarios), jax.random.key(7)))
 
 
-@pytest.mark.parametrize("field", score.Score._fields)
+@pytest.mark.parametrize("field", online.Score._fields)
 def test_every_score_equals_its_twin(setting, scores, trace, field):
     config, _, scenarios = setting
     expected = [
@@ -123,7 +123,7 @@ def scoring():
             kind=kind, onset=jnp.broadcast_to(onset, (N, count)), clear=jnp.broadcast_to(clear, (N, count))
         )
         scenarios = scenarios._replace(fault_tau=fault)
-        true = score.truth(config, scenarios)
+        true = online.truth(config, scenarios)
         zero = jnp.zeros((N, count))
         first = jnp.zeros((N, 1)).at[0].set(1.0)
 
@@ -137,10 +137,10 @@ def scoring():
             tick = jaxftc.Trace(
                 t=t, q=zero, qd=zero, y=zero, q_ref=zero, tau_applied=zero, fault_tau=zero, fault_q=zero, out=out
             )
-            return score.step(config, true, state, tick), None
+            return online.step(config, true, state, tick), None
 
         ticks = jnp.arange(TICKS) * config.dt
-        return jax.lax.scan(body, score.init(config, zero), (ticks, alarm, statistic))[0].score
+        return jax.lax.scan(body, online.init(config, zero), (ticks, alarm, statistic))[0].score
 
     del gains
     return config, jax.jit(call)
@@ -176,18 +176,18 @@ def test_permuting_scenarios_permutes_scores(order, seed):
         np.testing.assert_array_equal(mine[..., list(order)], theirs)
 
 
-@hypothesis.given(st.integers(0, 2**16), st.integers(0, len(score.LEVELS) - 1))
+@hypothesis.given(st.integers(0, 2**16), st.integers(0, len(online.LEVELS) - 1))
 def test_a_scaled_statistic_moves_along_the_levels(seed, shift):
     """Twice the signal against twice the threshold is the same: crossings shift by as many levels as the factor has."""
     random = np.random.default_rng(seed)
     statistic = np.cumsum(random.normal(0, 0.1, (TICKS, 8)), axis=0)
     none = np.zeros((TICKS, 8), bool)
-    factor = score.LEVELS[shift] * (1 + 1e-12)  # away from ties
+    factor = online.LEVELS[shift] * (1 + 1e-12)  # away from ties
     base, scaled = found(none, statistic * (1 + 1e-12)).crossed, found(none, factor * statistic).crossed
-    middle = len(score.LEVELS) // 2
-    for k in range(len(score.LEVELS)):
+    middle = len(online.LEVELS) // 2
+    for k in range(len(online.LEVELS)):
         other = k + shift - middle
-        if 0 <= other < len(score.LEVELS):
+        if 0 <= other < len(online.LEVELS):
             np.testing.assert_array_equal(scaled[other], base[k])
 
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax.test_util import check_grads
 
-from jaxftc import smooth
+from jaxftc.numerics import smooth
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)  # XLA's CPU code flushes subnormal numbers to zero
 widths = st.floats(1e-6, 1e3)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import strategies as st
 from scipy import stats
 
-from jaxftc.statistics import LEVEL, bootstrap, median, share, tolerated
+from jaxftc.evaluation.intervals import LEVEL, bootstrap, median, share, tolerated
 
 
 @pytest.mark.parametrize("n", [5, 50, 501])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from jax.test_util import check_grads
 
-from jaxftc.arm.trigonometry import cos_sin
+from jaxftc.numerics.trigonometry import cos_sin
 
 angles = st.floats(-6e3, 6e3, width=32, allow_subnormal=False)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.faults.scenario import take
+from jaxftc.scenarios.scenario import take
 from tests.arms import three_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search
 from tuning.settings import GRADIENT_COST, round_length

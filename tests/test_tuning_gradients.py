@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.faults.scenario import stack, trail
+from jaxftc.scenarios.scenario import stack, trail
 from tests.arms import three_hinges
 from tests.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform

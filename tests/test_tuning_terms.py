@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import metrics
-from jaxftc.faults.scenario import take, trail
+from jaxftc.evaluation import metrics
 from jaxftc.observer import stability
+from jaxftc.scenarios.scenario import take, trail
 from tests.arms import three_hinges
 from tests.twins import terms as twin
 from tuning import OBJECTIVE, Problem, Run, Term, transform

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 
 import jaxftc
-from jaxftc import arx
 from jaxftc.gains import BLOCKS, check, specs
+from jaxftc.observer import arx
 from tests.test_gradients import CASES
 from tuning import transform
 

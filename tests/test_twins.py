@@ -18,12 +18,13 @@ from twins import reference as twin_reference
 from twins import threshold as twin_threshold
 
 import jaxftc
-from jaxftc import arx, laguerre, reference, stages
-from jaxftc.control import gain, sliding, surface
-from jaxftc.diagnosis import threshold
-from jaxftc.fuzzy import rules
+from jaxftc import stages
+from jaxftc.control import fuzzy_gain, sliding_mode, surface
+from jaxftc.diagnosis import statistics
+from jaxftc.fuzzy import rule_table
 from jaxftc.gains import align
-from jaxftc.observer import cascade, stability
+from jaxftc.observer import arx, cascade, laguerre, stability
+from jaxftc.scenarios import reference
 from jaxftc.types import Reference
 
 POLES = st.floats(-0.95, 0.95)
@@ -151,8 +152,8 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
 def test_statistic_is_the_twin(r, z, w, leak):
     values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
     gains = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
-    state, (s_tau, s_q) = threshold.step(
-        gains, threshold.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r)
+    state, (s_tau, s_q) = statistics.step(
+        gains, statistics.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r)
     )
     s, z_next = twin_threshold.statistic(r, z, w, leak)
     np.testing.assert_allclose(s_tau, s, atol=1e-12)
@@ -161,17 +162,17 @@ def test_statistic_is_the_twin(r, z, w, leak):
 
 
 def test_table_1_is_the_papers():
-    np.testing.assert_array_equal(rules.PRINTED, twin_fuzzy.TABLE_1)
+    np.testing.assert_array_equal(rule_table.PRINTED, twin_fuzzy.TABLE_1)
 
 
-@pytest.mark.parametrize("name", list(rules.TABLES))
+@pytest.mark.parametrize("name", list(rule_table.TABLES))
 def test_table_1_inference_is_the_double_sum(name, config, rng):
     gains = jaxftc.default_gains(config).control
     gains = dataclasses.replace(
         gains, q_widths=gains.q_widths * jnp.linspace(0.7, 1.5, 7), outputs=jnp.array([0.3, 1.4, 2.9])
     )
     q, s = rng.uniform(-7, 7, 40), rng.uniform(-2, 2, 40)
-    ours = jax.jit(functools.partial(rules.infer, rules.TABLES[name]))(
+    ours = jax.jit(functools.partial(rule_table.infer, rule_table.TABLES[name]))(
         jnp.asarray(q),
         jnp.asarray(s),
         (gains.q_centres, gains.q_widths),
@@ -180,7 +181,7 @@ def test_table_1_inference_is_the_double_sum(name, config, rng):
     )
     want = [
         twin_fuzzy.alpha_online(
-            a, b, gains.q_centres, gains.q_widths, gains.s_centres, gains.s_widths, gains.outputs, rules.TABLES[name]
+            a, b, gains.q_centres, gains.q_widths, gains.s_centres, gains.s_widths, gains.outputs, rule_table.TABLES[name]
         )
         for a, b in zip(q, s, strict=True)
     ]
@@ -189,7 +190,7 @@ def test_table_1_inference_is_the_double_sum(name, config, rng):
 
 def test_equal_outputs_make_table_1_a_constant(config, rng):
     gains = dataclasses.replace(jaxftc.default_gains(config).control, outputs=jnp.full(3, 1.7))
-    value = gain.alpha_online(config, gains, jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=6)))
+    value = fuzzy_gain.alpha_online(config, gains, jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=6)))
     np.testing.assert_allclose(value, 1.7, rtol=1e-12)
 
 
@@ -200,24 +201,25 @@ def test_narrow_sets_give_the_nearest_rule_and_a_finite_slope():
     q, s = jnp.array([-2.8, 0.3, 1.2], jnp.float32), jnp.array([-9.0, -1.2, 2.7], jnp.float32)
 
     def infer(q, centres, widths):
-        return rules.infer(rules.PRINTED, q, s, (centres, widths), (centres, widths), outputs)
+        return rule_table.infer(rule_table.PRINTED, q, s, (centres, widths), (centres, widths), outputs)
 
-    nearest = rules.PRINTED[np.round(np.asarray(q) + 3).astype(int), np.clip(np.round(np.asarray(s) + 3), 0, 6).astype(int)]
+    row, column = np.round(np.asarray(q) + 3), np.clip(np.round(np.asarray(s) + 3), 0, 6)
+    nearest = rule_table.PRINTED[row.astype(int), column.astype(int)]
     np.testing.assert_allclose(infer(q, centres, widths), np.asarray(outputs)[nearest], rtol=1e-6)
     slopes = jax.grad(lambda *args: infer(*args).sum(), argnums=(0, 1, 2))(q, centres, widths)
     assert all(np.isfinite(slope).all() for slope in slopes)
 
 
 def test_mended_tables():
-    printed, mended = rules.TABLES["printed"], rules.TABLES["symmetric"]
+    printed, mended = rule_table.TABLES["printed"], rule_table.TABLES["symmetric"]
     assert (printed != printed[::-1, ::-1]).sum() == 12  # the printed table breaks its own symmetry
     np.testing.assert_array_equal(mended, mended[::-1, ::-1])
-    assert (np.diff(rules.TABLES["s_only"][0][3:]) >= 0).all()
+    assert (np.diff(rule_table.TABLES["s_only"][0][3:]) >= 0).all()
 
 
 def test_gain_never_falls_below_its_floor(config):
     gains = dataclasses.replace(jaxftc.default_gains(config).control, outputs=jnp.zeros(3), floor=jnp.full(6, 0.2))
-    np.testing.assert_array_equal(gain.alpha_online(config, gains, jnp.zeros(6), jnp.zeros(6)), 0.2)
+    np.testing.assert_array_equal(fuzzy_gain.alpha_online(config, gains, jnp.zeros(6), jnp.zeros(6)), 0.2)
 
 
 @pytest.mark.parametrize("control", ["smc", "esmc", "afesmc"])
@@ -229,7 +231,7 @@ def test_law_is_the_twin(control, paper_arm, rng):
     desired = Reference(*(jnp.asarray(rng.normal(size=6)) for _ in range(3)))
     q = y if control == "smc" else y - b
     at = surface.surface(gains, jnp.asarray(q), jnp.asarray(qd), desired)
-    command = sliding.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired, stages.of(config))
+    command = sliding_mode.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired, stages.of(config))
     mass, bias = np.eye(6), np.zeros(6)
     want = twin_control.law(
         control, y, b, qd, *(np.asarray(r) for r in desired), psi, mass, bias, bias, lam=gains.lam, a_sm=gains.alpha_sm,

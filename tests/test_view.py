@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import trace_file
 from jaxftc.cli.main import main, parse
 from jaxftc.cli.view import View
+from jaxftc.io import trace_file
 from jaxftc.report.figures import COLOURS
 from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
 from jaxftc.view import film, looks, offscreen, replay, scene, stage, window

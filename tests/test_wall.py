@@ -10,8 +10,8 @@ import pytest
 
 import jaxftc
 from jaxftc.config import SCHEMES
-from jaxftc.faults.kinds import Actuator, Sensor
-from jaxftc.reference import cubic
+from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.reference import cubic
 from tests.arms import three_hinges
 
 N, KEY = three_hinges().n, 11

@@ -11,9 +11,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxftc.faults.scenario import Scenario
-from jaxftc.files import aside
 from jaxftc.gains_file import header
+from jaxftc.io.files import aside
+from jaxftc.scenarios.scenario import Scenario
 from jaxftc.version import __version__
 from tuning.problem import Problem
 from tuning.settings import Settings

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from jaxftc.cli import common
-from jaxftc.files import write_parquet, write_text
+from jaxftc.io.files import write_parquet, write_text
 from tuning.settings import Settings
 
 if TYPE_CHECKING:

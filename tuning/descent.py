@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxftc.compile import jit
-from jaxftc.faults.scenario import Scenario
+from jaxftc.compile.xla import jit
+from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import Array
 from tuning.problem import Problem, shared
 from tuning.transform import REACH, Free, Space

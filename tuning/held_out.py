@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxftc import statistics
 from jaxftc.config import Config
-from jaxftc.faults.sample import sample_scenarios
-from jaxftc.faults.scenario import Scenario
+from jaxftc.evaluation import intervals
+from jaxftc.evaluation.intervals import Interval, bootstrap
 from jaxftc.gains import Gains
-from jaxftc.statistics import Interval, bootstrap
+from jaxftc.scenarios.sample import sample_scenarios
+from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import Array
 from tuning.problem import LOST, Problem
 from tuning.terms import OBJECTIVE, Term
@@ -49,7 +49,7 @@ class Comparison(NamedTuple):
     def median(self) -> tuple[Interval, Interval]:
         """Median over scenarios of a scenario's own objective, before and after."""
         before, after = self.weights @ self.before, self.weights @ self.after
-        return statistics.median(before), statistics.median(after)
+        return intervals.median(before), intervals.median(after)
 
     @property
     def diverged(self) -> tuple[int, int]:

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxftc.closed_loop import check as check_scenario
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
+from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.simulation.closed_loop import check as check_scenario
 from jaxftc.types import Array
 from tuning import checkpoint, methods, transform
 from tuning.problem import LOST, Problem

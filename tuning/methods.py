@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile import jit
-from jaxftc.faults.scenario import Scenario, take, trail
+from jaxftc.compile.xla import jit
 from jaxftc.gains import Gains
+from jaxftc.scenarios.scenario import Scenario, take, trail
 from tuning import search, transform
 from tuning.descent import Descent
 from tuning.problem import Problem

@@ -15,12 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import stages
-from jaxftc.closed_loop import program_kind, run_loop
-from jaxftc.compile import Kind, jit
+from jaxftc.compile.devices import over_scenarios
+from jaxftc.compile.xla import Kind, jit
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario, take, trail
 from jaxftc.gains import Gains
-from jaxftc.parallel import over_scenarios
+from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.simulation.closed_loop import program_kind, run_loop
 from jaxftc.stages import Stages
 from jaxftc.types import Array
 from tuning import terms as built_in

@@ -9,15 +9,15 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from jaxftc import metrics
-from jaxftc.closed_loop import simulate
 from jaxftc.config import Config
-from jaxftc.faults.kinds import Actuator, Sensor
-from jaxftc.faults.scenario import Scenario, take, trail
+from jaxftc.evaluation import metrics
+from jaxftc.evaluation.intervals import Interval
 from jaxftc.gains import Gains, specs
 from jaxftc.report.figures import COLOURS, LIMIT, LOGARITHMIC, TRUTH, Panel, by_joint, finish, shade, surface_figure
 from jaxftc.report.page import embed, page, table
-from jaxftc.statistics import Interval
+from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.simulation.closed_loop import simulate
 from tuning.held_out import Comparison
 from tuning.loop import Result
 from tuning.transform import idle

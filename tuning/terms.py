@@ -14,12 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.closed_loop import Trace
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario
+from jaxftc.evaluation.metrics import SETTLE
 from jaxftc.gains import Gains
-from jaxftc.metrics import SETTLE
 from jaxftc.observer import stability as poles
+from jaxftc.scenarios.scenario import Scenario
+from jaxftc.simulation.closed_loop import Trace
 from jaxftc.stages import Stages
 from jaxftc.types import Array
 
@@ -109,7 +109,7 @@ class Alarms(NamedTuple):
 
 
 def alarms(run: Run) -> Alarms:
-    """Graded alarms, as ``diagnosis.decide`` would combine them, and the scenario's truth, which only tuning may see."""
+    """Graded alarms, as ``diagnosis.decision`` would combine them, and the scenario's truth, which only tuning may see."""
     out, scenario = run.trace.out, run.scenario
     ratios = jnp.abs(out.statistic_tau) / out.threshold_tau, jnp.abs(out.statistic_q) / out.threshold_q
     grade_tau, grade_q = (jax.nn.sigmoid((ratio - 1) / SOFTNESS) for ratio in ratios)

@@ -24,12 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import arx, checks, stages
-from jaxftc.compile import jit
+from jaxftc import checks, stages
+from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
 from jaxftc.gains import check as check_gains
-from jaxftc.identify.readout import exact
+from jaxftc.observer import arx
+from jaxftc.observer.readout import exact
 from jaxftc.stages import Stages
 from jaxftc.types import Array
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.peers.urdf import as_urdf, body
-from jaxftc.arm.robot import Robot
+from jaxftc.robot.model import Robot
 
 Array = np.ndarray
 Solve = Callable[[Array, Array, Array], Any]  # q, qd, tau [B, n] to qdd [B, n]

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.peers.mujoco_c import timed_model
-from jaxftc.arm import mjx as door
-from jaxftc.arm.robot import Robot
+from jaxftc.robot import mjx as door
+from jaxftc.robot.model import Robot
 
 
 class Plant:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from jaxftc.arm.robot import Robot
+from jaxftc.robot.model import Robot
 
 Array = np.ndarray
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from benchmarks.peers.numpy_observer import Observer, Seen
 from jaxftc.config import Config
-from jaxftc.diagnosis import decide
-from jaxftc.fuzzy.rules import TABLES
+from jaxftc.diagnosis import decision
+from jaxftc.fuzzy.rule_table import TABLES
 from jaxftc.gains import Gains
 
 Array = np.ndarray
@@ -109,19 +109,19 @@ class Controller:
         alarmed, size = was_on | self.tau_on, np.abs(r_tau)
         self.age = np.where(alarmed, self.age + 1, 0.0)
         self.peak = np.where(alarmed, np.maximum(self.peak, size), 0.0)
-        fallen = ~self.tau_on | (size < decide.KICK * self.peak)
+        fallen = ~self.tau_on | (size < decision.KICK * self.peak)
         excess = self.peak / level.alpha_tau
         kick = was_on & (self.age < config.kick_ticks) & fallen & (excess >= excess.max())
         self.quiet = np.where(self.tau_on | self.q_on, 0.0, self.quiet + 1)
-        self.kicked = kick | (self.kicked & (self.quiet < decide.KICK_MEMORY))
-        self.jumps = decide.JUMP_MEMORY * self.jumps + seen.h_s
-        self.lean = decide.JUMP_MEMORY * self.lean + seen.h_s * seen.side
+        self.kicked = kick | (self.kicked & (self.quiet < decision.KICK_MEMORY))
+        self.jumps = decision.JUMP_MEMORY * self.jumps + seen.h_s
+        self.lean = decision.JUMP_MEMORY * self.lean + seen.h_s * seen.side
         unchanged = seen.missing | (seen.y == self.last)
         self.equal = np.where(unchanged, self.equal + 1, 0.0)
         self.speed, self.last = np.where(unchanged, self.speed, qd), seen.y
         moved = self.equal * config.dt * np.abs(self.speed) > self.gains.observer.jump
-        self.frozen = (self.equal >= decide.FROZEN_READINGS) & (moved | seen.absent)
-        many = self.jumps >= decide.MANY_JUMPS
+        self.frozen = (self.equal >= decision.FROZEN_READINGS) & (moved | seen.absent)
+        many = self.jumps >= decision.MANY_JUMPS
         self.noisy = many & (np.abs(self.lean) < 0.5 * self.jumps)
         self.suspect = self.frozen | many | self.kicked
         self.verdict = (self.tau_on & ~self.suspect) + 2 * (self.q_on | self.suspect)
@@ -130,6 +130,6 @@ class Controller:
 def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, config: Config) -> tuple[Array, Array]:
     """Two-level switch with persistence."""
     size = np.abs(s)
-    run = np.where(np.where(on, size < decide.RELEASE * alpha, size >= alpha), run + 1, 0.0)
+    run = np.where(np.where(on, size < decision.RELEASE * alpha, size >= alpha), run + 1, 0.0)
     flips = run >= np.where(on, config.release_ticks, rise)
     return on ^ flips, np.where(flips, 0.0, run)

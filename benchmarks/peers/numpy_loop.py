@@ -10,8 +10,8 @@ import numpy as np
 from benchmarks.peers.mujoco_c import timed_model
 from benchmarks.peers.numpy_controller import Controller, coulomb
 from jaxftc.config import Config
-from jaxftc.faults.scenario import Scenario
 from jaxftc.gains import Gains
+from jaxftc.scenarios.scenario import Scenario
 
 Array = np.ndarray
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxftc.arm.robot import Link, Robot
+from jaxftc.robot.model import Link, Robot
 
 
 def as_urdf(robot: Robot) -> str:

@@ -10,9 +10,9 @@ from jaxftc.cli import common
 from jaxftc.cli.campaign import Laws, SchemeName
 
 if TYPE_CHECKING:
+    from jaxftc.campaigns.calibrate import Calibration
     from jaxftc.config import Config
     from jaxftc.gains import Gains
-    from jaxftc.monte_carlo.calibrate import Calibration
 
 
 @dataclasses.dataclass
@@ -46,9 +46,9 @@ class Calibrate(Laws):
         from tqdm import tqdm
 
         from jaxftc import save_gains
+        from jaxftc.campaigns.calibrate import calibrate_on_logs
+        from jaxftc.campaigns.spec import SILENT, as_record, scheme_config, set_thresholds
         from jaxftc.logs import read
-        from jaxftc.monte_carlo.calibrate import calibrate_on_logs
-        from jaxftc.monte_carlo.job import SILENT, as_record, scheme_config, set_thresholds
 
         if self.scheme in SILENT:
             raise ValueError(

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jaxftc.cli import common
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
+    from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
-    from jaxftc.monte_carlo.job import Job
 
 SchemeName = Literal["cascade", "pi", "eso", "eso_printed", "smc", "esmc", "momentum", "ekf", "computed_torque"]
 
@@ -42,10 +42,10 @@ class Laws(common.Options):
 
     def job(self, config: Config) -> Job:
         """Everything that a row depends on, with the gains that were asked for."""
-        from jaxftc.faults.laws import extent
-        from jaxftc.faults.preset_file import load_preset
-        from jaxftc.faults.sample import check_arm
-        from jaxftc.monte_carlo.job import Job
+        from jaxftc.campaigns.spec import Job
+        from jaxftc.scenarios.distributions import extent
+        from jaxftc.scenarios.preset_file import load_preset
+        from jaxftc.scenarios.sample import check_arm
 
         common.key(self)  # the seed's range
         preset = load_preset(self.preset)
@@ -89,9 +89,11 @@ class Campaign(Laws):
         common.prepare(self, many=True)
         import json
 
-        from jaxftc.monte_carlo import page, store, versus
-        from jaxftc.monte_carlo.calibrate import allowed
-        from jaxftc.monte_carlo.job import HEALTHY, scheme_config
+        from jaxftc.campaigns import store
+        from jaxftc.campaigns.calibrate import allowed
+        from jaxftc.campaigns.spec import HEALTHY, scheme_config
+        from jaxftc.evaluation import comparison
+        from jaxftc.report import campaign
 
         jobs = {name: self.job(scheme_config(self.base(), name)) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
@@ -108,15 +110,15 @@ class Campaign(Laws):
             for name, job in jobs.items():
                 folders[name].mkdir(exist_ok=True)
                 found[name] = self._one(folders[name], job, requests[name], share)
-        common.say(self, versus.as_text(found))
+        common.say(self, comparison.as_text(found))
         if self.compare:
             rows = {name: store.Columns(folders[name], self.n) for name in names}
-            pairs = versus.against(rows)
-            common.say(self, versus.pairs_as_text(pairs))
+            pairs = comparison.against(rows)
+            common.say(self, comparison.pairs_as_text(pairs))
             text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs})
-            write_text(folder / store.REPORT, page.comparison(found, pairs))
+            write_text(folder / store.REPORT, campaign.comparison(found, pairs))
         else:
-            common.say(self, versus.kinds_as_text(found[names[0]]))
+            common.say(self, comparison.kinds_as_text(found[names[0]]))
             text = json.dumps(found[names[0]], indent=2, allow_nan=False)
         rows_at = "a folder for each scheme" if self.compare else "rows (chunk-*.parquet)"
         common.say(self, f"\nWritten to {folder}: {rows_at}, summary.json, report.html")
@@ -138,7 +140,7 @@ class Campaign(Laws):
 
     def _check(self, folder: Path, folders: dict[str, Path], requests: dict[str, dict[str, Any]]) -> None:
         """Refuse a folder that holds anything but the same campaign, before the first run."""
-        from jaxftc.monte_carlo import store
+        from jaxftc.campaigns import store
 
         inside = [path.parent.name for path in folder.glob(f"*/{store.MANIFEST}")]
         if self.compare and (folder / store.MANIFEST).exists():
@@ -157,8 +159,10 @@ class Campaign(Laws):
         """One scheme: thresholds, missing rows, summary and report of its own."""
         from tqdm import tqdm
 
-        from jaxftc.monte_carlo import page, store, summary
-        from jaxftc.monte_carlo.job import begin, complete, worst
+        from jaxftc.campaigns import store
+        from jaxftc.campaigns.spec import begin, complete, worst
+        from jaxftc.evaluation import summary
+        from jaxftc.report import campaign
 
         name, note = request["scheme"], lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
@@ -174,15 +178,15 @@ class Campaign(Laws):
         result |= {"calibration": calibration}
         common.write_json(folder / store.SUMMARY, result)
         shown = worst(job, rows, self.worst)
-        write_text(folder / store.REPORT, page.campaign(job.config, folder, rows, result, shown))
+        write_text(folder / store.REPORT, campaign.campaign(job.config, folder, rows, result, shown))
         return result
 
     def _request(self, job: Job, name: str, share: float | None) -> dict[str, Any]:
         """The options that rows depend on, as the manifest keeps them."""
         import tomli_w
 
-        from jaxftc.faults.preset_file import as_dict
-        from jaxftc.monte_carlo.store import fingerprint
+        from jaxftc.campaigns.store import fingerprint
+        from jaxftc.scenarios.preset_file import as_dict
 
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
         request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}

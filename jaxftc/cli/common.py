@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
-    from jaxftc.arm.robot import Robot
     from jaxftc.config import Config
     from jaxftc.gains import Gains
+    from jaxftc.robot.model import Robot
 
 MARK = ".jaxftc"  # in a folder of results: the command that made it
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
@@ -64,16 +64,16 @@ def prepare(options: Options, *, many: bool = False, devices: bool = False, engi
     import jax
 
     if devices:
-        from jaxftc.parallel import cores
+        from jaxftc.compile.devices import cores
 
         jax.config.update("jax_num_cpu_devices", cores())
     if many:
-        from jaxftc.compile import configure_xla
+        from jaxftc.compile.xla import configure_xla
 
         with contextlib.suppress(RuntimeError):  # a process that has used JAX already keeps the flags that it has
             configure_xla(several_results=True if (engine or options.engine) == "chain" else None)
     if options.cache:
-        from jaxftc import program_cache
+        from jaxftc.compile import program_cache
 
         home = program_cache.open_folder(program_cache.user_folder())
         program_cache.folder = home and program_cache.open_folder(home / "programs")

@@ -6,10 +6,10 @@ import dataclasses
 from typing import TYPE_CHECKING
 
 from jaxftc.cli import common
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
-    from jaxftc.paper import Experiment, Row
+    from jaxftc.paper.experiment import Experiment, Row
 
 
 @dataclasses.dataclass
@@ -19,8 +19,9 @@ class Demo(common.Options):
     def run(self) -> None:
         """Run it, print the table and the claims, write report.html and result.json."""
         common.prepare(self, many=True)
-        from jaxftc import Config, paper
-        from jaxftc.report.demo import demo_page
+        from jaxftc import Config
+        from jaxftc.paper import experiment as paper
+        from jaxftc.paper.page import demo_page
 
         robot = common.load_arm(self)
         config = Config(robot, engine=self.engine)
@@ -38,8 +39,8 @@ class Demo(common.Options):
 
 def table(rows: list[Row]) -> str:
     """The comparison table as text."""
-    from jaxftc.metrics import SETTLE
-    from jaxftc.report.demo import comparison
+    from jaxftc.evaluation.metrics import SETTLE
+    from jaxftc.paper.page import comparison
 
     head, units, cells = comparison(rows)
     lines = [head, units, *cells]

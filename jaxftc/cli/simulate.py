@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jaxftc.cli import common
-from jaxftc.files import write_text
+from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
     import numpy as np
 
     from jaxftc.config import Config
-    from jaxftc.metrics import Metrics
+    from jaxftc.evaluation.metrics import Metrics
 
 
 @dataclasses.dataclass
@@ -55,11 +55,12 @@ class Simulate(common.Options):
             raise ValueError("--from and --id go together: a campaign's folder and one of its scenarios")
         engine = None
         if self.campaign is not None:
-            from jaxftc.monte_carlo import store
+            from jaxftc.campaigns import store
 
             engine = store.read_manifest(self.campaign)["request"]["engine"]
         common.prepare(self, many=from_campaign, engine=engine)  # as the campaign did: the same program, to the last bit
-        from jaxftc import metrics, trace_file
+        from jaxftc.evaluation import metrics
+        from jaxftc.io import trace_file
         from jaxftc.report.figures import trace_page
 
         config, trace, title, more = self._again() if from_campaign else self._paper()
@@ -83,7 +84,8 @@ class Simulate(common.Options):
 
     def _paper(self) -> tuple[Config, dict[str, np.ndarray], str, dict[str, Any]]:
         """One of the paper's conditions: config, columns of its trace, title, nothing more."""
-        from jaxftc import Config, metrics, paper_scenario, simulate
+        from jaxftc import Config, paper_scenario, simulate
+        from jaxftc.evaluation import metrics
 
         for name in ("torque", "angle"):
             if not math.isfinite(getattr(self, name)):
@@ -106,9 +108,10 @@ class Simulate(common.Options):
         """A scenario of a campaign, by the campaign's own program; its row, and whether the stored one is the same."""
         import numpy as np
 
-        from jaxftc import Config, metrics
-        from jaxftc.monte_carlo import store
-        from jaxftc.monte_carlo.job import again, load
+        from jaxftc import Config
+        from jaxftc.campaigns import store
+        from jaxftc.campaigns.spec import again, load
+        from jaxftc.evaluation import metrics
 
         assert self.campaign is not None and self.id is not None
         free = ("campaign", "id", "out", "json", "cache")
@@ -138,7 +141,7 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
     """The run as a dict: figures of merit, and the same by joint."""
     import numpy as np
 
-    from jaxftc import metrics
+    from jaxftc.evaluation import metrics
     from jaxftc.types import VERDICTS
 
     wanted, present = metrics.truth(trace["fault_tau"], trace["fault_q"])
@@ -165,7 +168,7 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
 
 def table(title: str, result: dict[str, Any]) -> str:
     """The run as text."""
-    from jaxftc.metrics import SETTLE
+    from jaxftc.evaluation.metrics import SETTLE
 
     lines = [title, ""]
     head = f"{'joint':8}{'torque est.':>13}{'angle est.':>13}{'tracking':>12}{'peak torque':>13}  {'truth':9}{'verdict':9}"

@@ -13,7 +13,7 @@ import math
 import jax
 import jax.numpy as jnp
 
-from jaxftc.barrier import unstack
+from jaxftc.numerics.barrier import unstack
 from jaxftc.types import Array
 
 

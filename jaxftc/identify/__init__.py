@@ -26,17 +26,17 @@ set to; angles are in rad, torques in N m.
 """
 
 from jaxftc.identify.batch import fit_batch as fit_batch
-from jaxftc.identify.log import Log as Log
-from jaxftc.identify.log import from_trace as from_trace
-from jaxftc.identify.log import model_input as model_input
 from jaxftc.identify.multistep import Errors as Errors
 from jaxftc.identify.multistep import Size as Size
 from jaxftc.identify.multistep import errors as errors
 from jaxftc.identify.multistep import fit_multistep as fit_multistep
 from jaxftc.identify.multistep import predict as predict
-from jaxftc.identify.readout import features as features
-from jaxftc.identify.readout import regressors as regressors
-from jaxftc.identify.readout import with_kappa as with_kappa
 from jaxftc.identify.recursive import RlsState as RlsState
 from jaxftc.identify.recursive import rls_init as rls_init
 from jaxftc.identify.recursive import rls_step as rls_step
+from jaxftc.identify.regressors import features as features
+from jaxftc.identify.regressors import regressors as regressors
+from jaxftc.logs.log import Log as Log
+from jaxftc.logs.log import from_trace as from_trace
+from jaxftc.logs.log import model_input as model_input
+from jaxftc.observer.readout import with_kappa as with_kappa

@@ -7,8 +7,9 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.identify.log import Log
-from jaxftc.identify.readout import data, rounded, span, with_kappa
+from jaxftc.identify.regressors import data, span
+from jaxftc.logs.log import Log
+from jaxftc.observer.readout import rounded, with_kappa
 
 
 def fit_batch(config: Config, gains: Gains, log: Log) -> Gains:

@@ -12,12 +12,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc import checks, laguerre
-from jaxftc.compile import jit
+from jaxftc import checks
+from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.identify.log import Log
-from jaxftc.identify.readout import data, flatten, rounded, span, with_kappa
+from jaxftc.identify.regressors import data, flatten, span
+from jaxftc.logs.log import Log
+from jaxftc.observer import laguerre
+from jaxftc.observer.readout import rounded, with_kappa
 from jaxftc.types import Array
 
 HORIZON = 50  # ticks

@@ -19,8 +19,9 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
-from jaxftc.identify.readout import span
-from jaxftc.types import Array, trailing
+from jaxftc.identify.regressors import span
+from jaxftc.numerics.batch import trailing
+from jaxftc.types import Array
 
 
 class RlsState(NamedTuple):

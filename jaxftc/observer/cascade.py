@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc import arx, laguerre
-from jaxftc.barrier import store
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.observer import adaptive, pi, super_twisting
+from jaxftc.numerics.barrier import store
+from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno
 from jaxftc.stages import Stages, either
 from jaxftc.types import Array
 
@@ -25,7 +24,7 @@ class State(NamedTuple):
     arx: arx.State
     pi: pi.State
     sliding: super_twisting.State
-    adaptive: adaptive.State
+    adaptive: takagi_sugeno.State
     e: Array  # [n, ...] rad, innovation of the last tick, its jump taken out
     q1: Array  # [n, ...] rad, q_hat one tick ago
     q2: Array  # [n, ...] rad, q_hat two ticks ago
@@ -49,7 +48,7 @@ class Innovation(NamedTuple):
     y: Array  # [n, ...] rad, reading, predicted where it was not used
     y_hat: Array  # [n, ...] rad, model
     e: Array  # [n, ...] rad, innovation, its jump taken out
-    jump: adaptive.Jump
+    jump: takagi_sugeno.Jump
     shift: Array  # [n, ...] rad, by which the model was moved to meet the reading
     b: Array  # [n, ...] rad, encoder fault, this tick's jump included
     q_hat: Array  # [n, ...] rad, reading less its fault
@@ -66,7 +65,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         arx=arx.init(config, gains, q),
         pi=pi.State(zero),
         sliding=super_twisting.State(zero),
-        adaptive=adaptive.State(zero, zero),
+        adaptive=takagi_sugeno.State(zero, zero),
         e=zero,
         q1=q,
         q2=q,
@@ -95,11 +94,11 @@ def explain(
     b = jnp.where(stuck, state.b_fresh, state.adaptive.b)
     y = jnp.where(missing, y_hat + b, reading)
     e = y - b - y_hat
-    jump = adaptive.Jump(*[jnp.zeros_like(e)] * 4)
+    jump = takagi_sugeno.Jump(*[jnp.zeros_like(e)] * 4)
     if on.fuzzy is not False:
         strange = y - b - 2 * state.q1 + state.q2 - config.dt**2 * expected
         strange = jnp.where(missing | back, 0.0, strange)
-        judged = adaptive.judge(gains.observer, strange, e - state.e, b, doubt.kicked, doubt.noisy)
+        judged = takagi_sugeno.judge(gains.observer, strange, e - state.e, b, doubt.kicked, doubt.noisy)
         jump = either(on.fuzzy, judged, jump)
     shift = jnp.where(back, e, jump.followed)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]  # H_y(1) = 1: y_hat moves by shift
@@ -136,7 +135,7 @@ def adapt(gains: Gains, state: State, info: Innovation, residual_tau: Array, on:
     """
     fuzzy = state.adaptive
     if on.fuzzy is not False:
-        moved = adaptive.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
+        moved = takagi_sugeno.step(gains.observer, fuzzy, info.e, info.jump, residual_tau, gains.diagnosis.alpha_tau)
         fuzzy = either(on.fuzzy, moved, fuzzy)
     corrected = info.y_hat + gains.observer.alpha_p * info.e  # Eq. (6)
     x_a = laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxftc import smooth
 from jaxftc.gains import ObserverGains
+from jaxftc.numerics import smooth
 from jaxftc.types import Array
 
 

@@ -10,7 +10,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from jaxftc.config import Config
-from jaxftc.control.gain import surface
+from jaxftc.control.fuzzy_gain import surface
 from jaxftc.gains import Gains
 from jaxftc.report.page import embed, page
 from jaxftc.types import VERDICTS

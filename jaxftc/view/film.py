@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from jaxftc.files import aside
+from jaxftc.io.files import aside
 from jaxftc.view.replay import Replay, check_speed
 
 if TYPE_CHECKING:

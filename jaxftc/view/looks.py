@@ -12,7 +12,7 @@ import dataclasses
 import mujoco
 import numpy as np
 
-from jaxftc.arm import puma560
+from jaxftc.robot import puma560
 
 Point = tuple[float, float, float]
 Colour = tuple[float, float, float, float]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxftc.metrics import SETTLE
+from jaxftc.evaluation.metrics import SETTLE
 from jaxftc.types import ACTUATOR, NORMAL, SENSOR
 
 HEALTHY, FAULT, DETECTED, ALARM = range(4)  # state of a joint: nothing, fault not found, fault found, alarm without a fault

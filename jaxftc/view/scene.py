@@ -7,7 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from jaxftc.arm.robot import Robot
+from jaxftc.robot.model import Robot
 from jaxftc.view import stage
 from jaxftc.view.looks import Colour
 from jaxftc.view.replay import ALARM, DETECTED, FAULT, Replay

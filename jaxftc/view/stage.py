@@ -12,8 +12,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from jaxftc.arm.puma560 import puma560
-from jaxftc.arm.robot import Robot
+from jaxftc.robot.model import Robot
+from jaxftc.robot.puma560 import puma560
 from jaxftc.view import looks
 from jaxftc.view.looks import Colour, Part
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import signal
 
-from jaxftc.monte_carlo.score import LEVELS
+from jaxftc.evaluation.online import LEVELS
 
 
 def truth(config, scenario):

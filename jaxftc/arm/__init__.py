@@ -1,1 +1,0 @@
-"""The arm: its numbers, any serial arm of hinges, and two engines behind one door."""

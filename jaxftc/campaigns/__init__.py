@@ -1,0 +1,1 @@
+"""Monte-Carlo fault campaigns: runs, rows on disk, and thresholds for a false-alarm rate."""

@@ -1,0 +1,212 @@
+"""Thresholds for a wanted share of healthy runs with an alarm.
+
+Each joint's threshold starts as the quantile of its own largest statistic in a run, at its share of the wanted rate; one
+factor on all of them then makes the rate right for runs as a whole, at the order statistic that a binomial law allows with
+the wanted confidence. The fuzzy stage reads the thresholds too, so the runs are repeated with the new ones until they stay.
+Fresh runs then say what was reached.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.campaigns.run import scores
+from jaxftc.config import Config
+from jaxftc.evaluation.intervals import Interval, share, tolerated
+from jaxftc.gains import Gains
+from jaxftc.logs import diagnose
+from jaxftc.logs.log import Log
+from jaxftc.scenarios.scenario import Scenario, take
+from jaxftc.types import Array, Output
+
+ROUNDS, SETTLED = 8, 0.02  # at most; relative change of the thresholds that ends them
+LEAST_TAU = 1e-4  # of the torque limit: no threshold is lower, where a statistic is always 0
+LEAST_Q = math.radians(0.01)  # rad; six times the noise of an encoder of 3e-5 rad
+
+
+class Peaks(NamedTuple):
+    """The largest statistics of healthy runs that lasted for an alarm."""
+
+    tau: np.ndarray  # [n, runs] N m
+    q: np.ndarray  # [n, runs] rad
+    spoke: np.ndarray  # [runs] bool, the second look raised an alarm: no threshold prevents that
+
+
+class Calibration(NamedTuple):
+    """Thresholds, and what they reach on runs that they were not set on."""
+
+    gains: Gains
+    wanted: float  # share of runs with an alarm
+    confidence: float
+    runs: int  # that the thresholds were set on
+    rounds: int
+    settled: bool  # whether the last round changed them by less than SETTLED
+    fresh: int  # runs that they were checked on
+    reached: Interval  # share of those with an alarm, with its 95 % interval
+
+    @property
+    def met(self) -> bool:
+        """Whether the fresh runs agree with the wanted share."""
+        return self.reached.low <= self.wanted
+
+
+def calibrate(
+    config: Config,
+    gains: Gains,
+    scenarios: Scenario,
+    key: Array,
+    *,
+    false_alarms: float = 0.01,
+    confidence: float = 0.95,
+    done: Callable[[int], object] = lambda count: None,
+) -> Calibration:
+    """Set ``gains.diagnosis.alpha_tau`` and ``alpha_q`` on scenarios with a leading axis, their faults left out.
+
+    Half of them set the thresholds, the others check the result.
+
+    Raises:
+        ValueError: too few scenarios for that share and confidence, or no threshold can reach it.
+    """
+    scenarios = without_faults(scenarios)
+    half = _enough(len(scenarios.id), false_alarms, confidence)
+    parts = take(scenarios, slice(0, half)), take(scenarios, slice(half, None))
+
+    def peaks(gains: Gains, part: int) -> Peaks:
+        found = scores(config, gains, parts[part], key, done)
+        tau, q = (np.asarray(x, float) for x in (found.healthy_tau, found.healthy_q))
+        return Peaks(tau, q, np.isinf(found.healthy_ratio) | found.lost)
+
+    return _settle(config, gains, peaks, false_alarms, confidence)
+
+
+def calibrate_on_logs(
+    config: Config, gains: Gains, logs: list[Log], *, false_alarms: float = 0.01, confidence: float = 0.95
+) -> Calibration:
+    """The same on healthy logs: every ``config.ticks`` ticks of a log count as a run; every other one checks the result.
+
+    Raises:
+        ValueError: too few runs in the logs for that share and confidence, or no threshold can reach it.
+    """
+    _enough(sum(len(log.q) // config.ticks for log in logs), false_alarms, confidence)
+
+    def peaks(gains: Gains, part: int) -> Peaks:
+        pieces = [_windows(config, diagnose(config, gains, log)) for log in logs]
+        return Peaks(*(np.concatenate(leaves, axis=-1)[..., part::2] for leaves in zip(*pieces, strict=True)))
+
+    return _settle(config, gains, peaks, false_alarms, confidence)
+
+
+def _enough(runs: int, false_alarms: float, confidence: float) -> int:
+    """The number of runs that set the thresholds: half of them, or one more.
+
+    Raises:
+        ValueError: they are too few, or none is left to check the result on.
+    """
+    half = (runs + 1) // 2
+    allowed(half, false_alarms, confidence)
+    if runs < 2:
+        raise ValueError(f"{runs} healthy run is too few: one sets the thresholds and another checks them; give at least 2")
+    return half
+
+
+def _windows(config: Config, out: Output) -> Peaks:
+    """Peaks of each ``config.ticks`` ticks of a run; what is left over is dropped."""
+    size = np.abs(np.asarray(out.statistic_tau, float))
+    lasting = np.stack([size[k : len(size) + 1 + k - config.alarm_ticks] for k in range(config.alarm_ticks)]).min(0)
+    lasting = np.concatenate([np.zeros((config.alarm_ticks - 1, config.n)), lasting])
+    angle, suspect = np.abs(np.asarray(out.statistic_q, float)), np.asarray(out.suspect) > 0
+    ratio = np.maximum(lasting / np.asarray(out.threshold_tau), angle / np.asarray(out.threshold_q)).max(1)
+    recent = np.concatenate([np.zeros(config.kick_ticks), ratio])  # an alarm may call the second look, for so long
+    recent = np.stack([recent[k : k + len(ratio)] for k in range(config.kick_ticks + 1)]).max(0)
+    begins = suspect & ~np.concatenate([np.zeros_like(suspect[:1]), suspect[:-1]])
+    spoke = begins.any(1) & (recent < 1)
+    count = len(size) // config.ticks
+    cut = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, spoke[:, None])]
+    return Peaks(cut[0], cut[1], cut[2][0] > 0)
+
+
+def _settle(
+    config: Config, gains: Gains, peaks: Callable[[Gains, int], Peaks], false_alarms: float, confidence: float
+) -> Calibration:
+    """Thresholds from the peaks of part 0, again with the new ones until they stay; then the alarms of part 1."""
+    change, rounds, learned = math.inf, 0, 0
+    while rounds < ROUNDS and change > SETTLED:
+        found = peaks(gains, 0)
+        learned = len(found.spoke)
+        before = [np.asarray(gains.diagnosis.alpha_tau, float), np.asarray(gains.diagnosis.alpha_q, float)]
+        wanted = thresholds(config, found, false_alarms, confidence)
+        if not found.q.any():
+            wanted[1] = before[1]  # a scheme that does not look at the encoder leaves that channel's thresholds alone
+        change = max(float(np.abs(np.log(w / b)).max()) for w, b in zip(wanted, before, strict=True))
+        if rounds >= 3:  # to and fro: the higher ones hold the rate as well, and stay
+            wanted = [np.maximum(w, b) for w, b in zip(wanted, before, strict=True)]
+            change = max(float(np.abs(np.log(w / b)).max()) for w, b in zip(wanted, before, strict=True))
+        gains, rounds = with_thresholds(gains, *wanted), rounds + 1
+    fresh = peaks(gains, 1)
+    levels = np.asarray(gains.diagnosis.alpha_tau)[:, None], np.asarray(gains.diagnosis.alpha_q)[:, None]
+    alarms = fresh.spoke | (fresh.tau >= levels[0]).any(0) | (fresh.q >= levels[1]).any(0)
+    reached = share(int(alarms.sum()), len(alarms))
+    return Calibration(gains, false_alarms, confidence, learned, rounds, change <= SETTLED, len(alarms), reached)
+
+
+def without_faults(scenarios: Scenario) -> Scenario:
+    """The same motions of the same arms, healthy."""
+    none = {name: np.zeros_like(getattr(scenarios, name).kind) for name in ("fault_tau", "fault_q")}
+    return scenarios._replace(**{name: getattr(scenarios, name)._replace(kind=kind) for name, kind in none.items()})
+
+
+def allowed(runs: int, false_alarms: float, confidence: float) -> int:
+    """How many of the runs may raise an alarm.
+
+    Raises:
+        ValueError: a share outside (0, 1), or so few runs that none of them may.
+    """
+    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
+        if not 0 < value < 1:
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
+    count = tolerated(runs, false_alarms, confidence)
+    if count < 0:
+        least = math.ceil(math.log(1 - confidence) / math.log(1 - false_alarms))
+        raise ValueError(
+            f"{runs} healthy runs are too few to hold {100 * false_alarms:g} % false alarms with {100 * confidence:g} % "
+            f"confidence; at least {least} are needed to set the thresholds on, and as many to check them, or a larger share"
+        )
+    return count
+
+
+def thresholds(config: Config, peaks: Peaks, false_alarms: float, confidence: float) -> list[np.ndarray]:
+    """alpha_tau [n] N m and alpha_q [n] rad for these peaks.
+
+    Raises:
+        ValueError: the second look alone raises more alarms than wanted.
+    """
+    runs = peaks.tau.shape[1]
+    count = allowed(runs, false_alarms, confidence)
+    if peaks.spoke.sum() > count:
+        raise ValueError(
+            f"{peaks.spoke.sum()} of {runs} healthy runs raise an alarm that no threshold prevents (frozen or noisy "
+            "readings, or a run that diverged); raise observer.jump, or look at such a run with jaxftc simulate"
+        )
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    least = np.concatenate([LEAST_TAU * limit, np.full(config.n, LEAST_Q)])
+    both = np.concatenate([peaks.tau, peaks.q])
+    shape = np.maximum(np.quantile(both[:, ~peaks.spoke], 1 - false_alarms / len(both), axis=1), least)
+    worst = np.where(peaks.spoke, np.inf, (both / shape[:, None]).max(0))
+    factor = np.nextafter(np.float32(np.sort(worst)[runs - 1 - count]), np.float32(np.inf))  # just above what may not alarm
+    level = np.maximum(1.000001 * factor * shape, least)
+    return [level[: config.n], level[config.n :]]
+
+
+def with_thresholds(gains: Gains, alpha_tau: Any, alpha_q: Any) -> Gains:
+    """Gains with other thresholds, N m and rad."""
+    dtype = gains.diagnosis.alpha_tau.dtype
+    diagnosis = dataclasses.replace(
+        gains.diagnosis, alpha_tau=jnp.asarray(alpha_tau, dtype), alpha_q=jnp.asarray(alpha_q, dtype)
+    )
+    return dataclasses.replace(gains, diagnosis=diagnosis)

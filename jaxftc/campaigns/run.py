@@ -1,0 +1,128 @@
+"""Scenarios through the closed loop, scored while they run.
+
+One compiled program of a fixed number of scenarios does all the work, whatever is asked for, several at a time on a machine
+with several cores: how a campaign is cut, its order and the number of cores change no bit of a row. (Two programs that
+differ in width, or in how they are spread over devices, round differently.) The program also keeps the trace of its first
+scenario, which costs nothing, so that a replay is the same program again.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import checks, stages
+from jaxftc.compile.devices import cores
+from jaxftc.compile.xla import jit
+from jaxftc.config import Config
+from jaxftc.evaluation import online, table
+from jaxftc.gains import Gains
+from jaxftc.scenarios.preset import Preset
+from jaxftc.scenarios.sample import draw_all
+from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.simulation.closed_loop import Trace, blank_trace, check, program_kind, watch
+from jaxftc.types import Array
+
+LANES = {"cpu": 256}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
+MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at a time
+
+
+def campaign(
+    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+) -> dict[str, np.ndarray]:
+    """Run scenarios with a leading axis; a dict of columns, one row a scenario (``docs/campaigns.md`` lists them).
+
+    The noise of a scenario depends on ``key`` and its id alone. ``done`` is told how many more are through.
+
+    Raises:
+        ValueError: gains or scenarios are of a wrong shape, not finite or outside their limits.
+    """
+    return table.columns(config, scenarios, scores(config, gains, scenarios, key, done))
+
+
+def scores(
+    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+) -> online.Score:
+    """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
+    checks.instance("scenarios", scenarios, Scenario)
+    if np.ndim(scenarios.id) != 1:
+        raise ValueError(
+            "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
+            f"{list(np.shape(scenarios.id))}; jaxftc.simulate takes a single one"
+        )
+    if not len(scenarios.id):
+        raise ValueError("scenarios must be at least one, got none; draw them with jaxftc.sample_scenarios")
+    check(config, gains, trail(scenarios))
+    checks.random_key("key", key)
+    count, wide, program = len(scenarios.id), width(), _program(stages.general(config))
+
+    on = stages.as_data(config)
+
+    def block(first: int) -> online.Score:
+        piece = take(scenarios, np.arange(first, first + wide) % count)
+        return jax.tree.map(np.asarray, program(key, on, gains, piece)[0])
+
+    pieces, starts = [], range(0, count, wide)
+    pool = ThreadPoolExecutor(_at_a_time())
+    try:
+        for first, piece in zip(starts, pool.map(block, starts), strict=True):
+            pieces.append(piece)
+            done(min(wide, count - first))
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1)[..., :count], *pieces)
+
+
+def draw(preset: Preset, config: Config, key: Array, ids: np.ndarray) -> Scenario:
+    """Scenarios of any ids, leading axis, as NumPy arrays; each depends on the key and its id alone, to the last bit."""
+    wide, pieces = width(), []
+    for first in range(0, len(ids), wide):
+        some = ids[np.arange(first, first + wide) % len(ids)]
+        pieces.append(jax.tree.map(np.asarray, draw_all(preset, config, key, jnp.asarray(some))))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(ids)], *pieces)
+
+
+def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tuple[dict[str, np.ndarray], Trace]:
+    """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
+    copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], width(), axis=0), scenario)
+    check(config, gains, trail(copies))
+    result, trace = _program(stages.general(config))(key, stages.as_data(config), gains, copies)
+    row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
+    return row, trace
+
+
+@functools.lru_cache(maxsize=16)
+def _program(config: Config) -> Callable[[Array, stages.Stages, Gains, Scenario], tuple[online.Score, Trace]]:
+    """(key, stages, gains, scenarios with a leading axis) to (scores, trace of the first)."""
+
+    def block(key: Array, on: stages.Stages, gains: Gains, scenarios: Scenario) -> tuple[online.Score, Trace]:
+        true = online.truth(config, scenarios)
+
+        def look(state: online.State, tick: Trace) -> tuple[online.State, Trace]:
+            first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)
+            return online.step(config, true, state, tick), first
+
+        blank = online.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
+        last, trace = watch(config, gains, scenarios, key, blank, look, on)
+        return last.score, trace
+
+    like = online.Score(*[0] * len(online.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
+    run = jit(block, kind=program_kind(config.engine), cached_as=repr(config), like=like)
+    return lambda key, on, gains, scenarios: run(key, on, gains, trail(scenarios))
+
+
+def width() -> int:
+    """Scenarios side by side in one program of a campaign."""
+    return LANES.get(jax.default_backend(), MANY_LANES)
+
+
+def _at_a_time() -> int:
+    """Programs that run at a time: one a core on the CPU, two elsewhere so that the device never waits."""
+    if jax.default_backend() != "cpu":
+        return 2
+    return cores()

@@ -1,0 +1,222 @@
+"""One scheme through one campaign: what the folder's manifest says, the rows that are missing, a scenario again."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import mujoco
+import numpy as np
+import tomli_w
+
+from jaxftc.campaigns import store
+from jaxftc.campaigns.calibrate import Calibration, calibrate
+from jaxftc.campaigns.run import campaign, draw, replay
+from jaxftc.config import Config
+from jaxftc.gains import Gains
+from jaxftc.gains_file import load_gains, save_gains
+from jaxftc.io.files import write_text
+from jaxftc.scenarios.preset import Preset
+from jaxftc.scenarios.preset_file import as_dict, load_preset
+from jaxftc.simulation.closed_loop import Trace
+from jaxftc.types import Array
+from jaxftc.version import __version__
+
+CHUNK = 4096  # rows of a file
+HEALTHY = 8192  # healthy runs that thresholds are set on and checked on, half each
+CALIBRATION = 0x43414C49  # keeps the scenarios of a calibration apart from all others of a seed
+UNSEEN = 0x43414D50  # keeps a campaign's scenarios apart from those of a tuning seed with the same number
+SCHEMES: dict[str, dict[str, str]] = {  # a scheme's name and what it changes in the config
+    "cascade": {},
+    "pi": {"observer": "pi"},
+    "eso": {"observer": "eso"},
+    "eso_printed": {"observer": "eso_printed"},
+    "smc": {"control": "smc"},
+    "esmc": {"control": "esmc"},
+    "momentum": {"scheme": "momentum"},
+    "ekf": {"scheme": "ekf"},
+    "computed_torque": {"scheme": "computed_torque"},
+}
+SILENT = ("computed_torque",)  # has no diagnosis: no thresholds to set
+
+
+class Job(NamedTuple):
+    """Everything that a row depends on, its id apart."""
+
+    config: Config
+    gains: Gains
+    preset: Preset
+    seed: int
+
+    @property
+    def keys(self) -> tuple[Array, Array]:
+        """Of the scenarios, and of their noise."""
+        draws, noise = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), UNSEEN))
+        return draws, noise
+
+
+class Progress(NamedTuple):
+    """What a call has done."""
+
+    kept: int  # rows that were there
+    run: int  # rows that were run
+    rate: float | None  # scenario-steps/s, storage included, from the second call of the compiled program on
+
+
+def scheme_config(base: Config, scheme: str) -> Config:
+    """The config of a scheme by its name in ``SCHEMES``."""
+    return dataclasses.replace(base, **SCHEMES[scheme])  # pyright: ignore[reportArgumentType]
+
+
+def complete(
+    folder: Path, job: Job, n: int, done: Callable[[int], object], note: Callable[[str], object] = lambda text: None
+) -> Progress:
+    """Run what is missing of the first n scenarios of a folder that ``begin`` has seen.
+
+    ``done`` is told of rows, ``note`` of files that could not be kept.
+
+    Raises:
+        OSError: a chunk cannot be written; those before it are there.
+    """
+    draws, noise = job.keys
+    kept, marks = 0, []
+
+    def tell(count: int) -> None:
+        marks.append((time.perf_counter(), count))
+        done(count)
+
+    for chunk in store.chunks(folder, n, store.read_manifest(folder)["chunk"]):
+        fault = store.fault_of(chunk)
+        if fault is None:
+            kept += chunk.rows
+            done(chunk.rows)
+            continue
+        if fault == "shorter":
+            note(f"{chunk.path.name} is of a shorter campaign; it is run whole")
+        elif fault != "absent":
+            note(f"{chunk.path.name} is {fault}; its rows are run again")
+        rows = campaign(job.config, job.gains, draw(job.preset, job.config, draws, chunk.ids), noise, tell)
+        store.write_chunk(chunk, rows)
+    ran = sum(count for _, count in marks)
+    rate = None
+    if len(marks) > 1:
+        rate = (ran - marks[0][1]) * job.config.ticks / (time.perf_counter() - marks[0][0])
+    return Progress(kept, ran, rate)
+
+
+def begin(
+    folder: Path,
+    job: Job,
+    request: dict[str, Any],
+    false_alarms: float | None,
+    done: Callable[[int], object] = lambda count: None,
+    note: Callable[[str], object] = lambda text: None,
+) -> tuple[Job, dict[str, Any]]:
+    """The folder's campaign: that of an earlier call if it was the same request, a new one otherwise; and its manifest.
+
+    A new one sets the thresholds first, if a share of false alarms is given.
+
+    Raises:
+        ValueError: the folder holds another campaign, or the thresholds cannot be set.
+    """
+    made_with = {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
+    if (folder / store.MANIFEST).exists():
+        store.agree(folder, request)
+        store.unaltered(folder)
+        manifest = store.read_manifest(folder)
+        if manifest["made_with"] != made_with:
+            versions = [" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with)]
+            note(f"{folder} was begun with {versions[0]}, here {versions[1]}: new rows may differ in their last digits")
+        return job._replace(gains=load_gains(folder / store.GAINS, job.config)), manifest
+    store.empty(folder)
+    manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
+    if false_alarms is not None and request["scheme"] not in SILENT:
+        found = set_thresholds(job, false_alarms, done)
+        job = job._replace(gains=found.gains)
+        manifest["calibration"] = as_record(found)
+    save_gains(folder / store.GAINS, job.gains, job.config)
+    write_text(folder / store.PRESET, tomli_w.dumps(as_dict(job.preset)))
+    store.write_manifest(folder, manifest)
+    return job, manifest
+
+
+def set_thresholds(
+    job: Job,
+    false_alarms: float,
+    done: Callable[[int], object] = lambda count: None,
+    *,
+    runs: int = HEALTHY,
+    confidence: float = 0.95,
+) -> Calibration:
+    """Thresholds for a share of healthy runs with an alarm, on motions and arms that the preset's campaign does not see."""
+    draws, noise = jax.random.split(jax.random.fold_in(jax.random.key(job.seed), CALIBRATION))
+    scenarios = draw(job.preset, job.config, draws, np.arange(runs, dtype=np.int32))
+    return calibrate(job.config, job.gains, scenarios, noise, false_alarms=false_alarms, confidence=confidence, done=done)
+
+
+def as_record(found: Calibration) -> dict[str, Any]:
+    """What calibration reached, for manifests and JSON."""
+    low, high = found.reached[1:]
+    return {
+        "wanted": found.wanted,
+        "confidence": found.confidence,
+        "runs": found.runs,
+        "rounds": found.rounds,
+        "settled": found.settled,
+        "met": found.met,
+        "fresh_runs": found.fresh,
+        "false_alarm_runs": found.reached.value,
+        "false_alarm_runs_95": [low, high],
+    }
+
+
+def again(job: Job, scenario_id: int) -> tuple[dict[str, np.ndarray], Trace]:
+    """Row and trace [T, n] of one scenario, bit for bit as in the campaign."""
+    draws, noise = job.keys
+    scenario = jax.tree.map(lambda leaf: leaf[0], draw(job.preset, job.config, draws, np.array([scenario_id], np.int32)))
+    return replay(job.config, job.gains, scenario, noise)
+
+
+def describe(config: Config) -> dict[str, Any]:
+    """A config for the manifest: the robot by its fingerprint, nothing unset."""
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config) if field.name != "robot"}
+    return {"robot_fingerprint": config.robot.fingerprint} | {
+        name: value for name, value in fields.items() if value is not None
+    }
+
+
+def load(folder: Path, base: Config) -> Job:
+    """The job of a folder for a base config with its robot, engine and timing.
+
+    Raises:
+        ValueError: no campaign, or the robot is another one than it ran with.
+    """
+    store.unaltered(folder)
+    manifest = store.read_manifest(folder)
+    config = scheme_config(base, manifest["request"]["scheme"])
+    ours, theirs = describe(config), manifest["config"]
+    other = [
+        f"{name} {theirs.get(name)!r}, here {ours.get(name)!r}"
+        for name in sorted({*ours, *theirs})
+        if ours.get(name) != theirs.get(name)
+    ]
+    if other:
+        raise ValueError(f"{folder} was run with another {'; another '.join(other)}")
+    return Job(
+        config, load_gains(folder / store.GAINS, config), load_preset(folder / store.PRESET), manifest["request"]["seed"]
+    )
+
+
+def worst(job: Job, rows: Mapping[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:
+    """Rows and traces of the worst scenarios: diverged, missed, judged wrongly, alarmed falsely, then tracked badly."""
+    missed = np.isinf(rows["delay_s"])
+    order = np.lexsort((rows["tracking_rmse_deg"], rows["false_alarm"], ~rows["verdict_right"], missed, rows["diverged"]))
+    found = []
+    for scenario_id in rows["scenario_id"][order[::-1][:count]]:
+        row, trace = again(job, int(scenario_id))
+        found.append(({name: column[0].item() for name, column in row.items()}, trace))
+    return found

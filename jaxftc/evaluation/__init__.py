@@ -1,0 +1,1 @@
+"""Figures of merit: of a trace, kept online, and of many runs with their intervals."""

@@ -1,0 +1,173 @@
+"""Schemes against each other on the same scenarios: a table of figures, and who is earlier where."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxftc.evaluation.intervals import Interval, median, share
+from jaxftc.evaluation.summary import ERRORS, FAULTY, Table
+
+UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
+WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
+
+
+def against(rows: Mapping[str, Table]) -> list[dict[str, Any]]:
+    """The first scheme against each other one, by kind of scenario, paired by scenario.
+
+    ``earlier`` is the share of faults that the first finds sooner among those that one of them finds sooner;
+    a ratio is the median over scenarios of the first's error over the other's.
+    """
+    (first, ours), *others = rows.items()
+    return [
+        {"scheme": first, "other": other, "kind": kind} | _pair(ours, theirs, kind)
+        for other, theirs in others
+        for kind in FAULTY
+        if (ours["kind"] == kind).any()
+    ]
+
+
+def _pair(ours: Table, theirs: Table, kind: str) -> dict[str, Any]:
+    where = ours["kind"] == kind
+    mine, other = ours["delay_s"][where], theirs["delay_s"][where]
+    sooner, later = int((mine < other).sum()), int((mine > other).sum())
+    early = share(sooner, sooner + later)
+    found: dict[str, Any] = {
+        "n": int(where.sum()),
+        "earlier": sooner,
+        "later": later,
+        "same": int(where.sum()) - sooner - later,
+    }
+    found |= {"earlier_share": _entry(early), "delay": _word(early, 0.5, more_is_better=True)}
+    for error in (name for name, kinds in ERRORS.items() if kind in kinds):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = ours[error][where] / theirs[error][where]
+        interval = median(np.where(np.isnan(ratio), 1.0, ratio))  # both 0 or both infinite: alike
+        found |= {error: _entry(interval) | {"word": _word(interval, 1.0, more_is_better=False)}}
+    return found
+
+
+def _entry(interval: Interval) -> dict[str, float | None]:
+    return {name: value if math.isfinite(value) else None for name, value in interval._asdict().items()}
+
+
+def _word(interval: Interval, even: float, *, more_is_better: bool) -> str:
+    if interval.low > even or interval.high < even:
+        return WINS[0] if (interval.low > even) == more_is_better else WINS[1]
+    return WINS[2]
+
+
+HEAD = ("scheme", "false alarms", "detection", "kind right", "joint right", "actuator", "sensor", "both", "torque est.",
+        "angle est.", "tracking", "chattering")  # fmt: skip
+UNITS = ("", "% of runs", "%", "% of det.", "% of det.", "delay ms", "delay ms", "delay ms", "N m", "deg", "deg", "1/s")
+
+
+NOTE = (
+    "medians over scenarios, a missed fault being infinitely late; detection of all faults, right of what was detected; "
+    "estimates where their channel is at fault"
+)
+
+
+def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
+    """A row a scheme of the comparison table; the best of each figure carries a star."""
+    values, absent = [], []
+    for s in found.values():
+        delays = [s["delay_median_s"][kind] for kind in FAULTY]
+        errors = [s["errors"][error] for error in ERRORS]
+        shares = [s[name] for name in ("false_alarm_runs", "detection", "isolation_kind", "isolation_joint")]
+        absent.append([s["n_by_kind"][kind] == 0 for kind in FAULTY])
+        values.append([_scaled(x, 100) for x in shares] + [_scaled(x, 1e3) for x in delays] + errors)
+    digits = (2, 2, 2, 2, 0, 0, 0, 3, 4, 4, 2)
+    better = (None, max, max, max, min, min, min, min, min, min, min)
+    texts = []
+    for k, (places, choose) in enumerate(zip(digits, better, strict=True)):
+        column = [row[k] for row in values]
+        there = [round(x, places) for x in column if x is not None]
+        best = choose(there) if choose and there and len(found) > 1 else None
+        never = [4 <= k < 7 and not row[k - 4] for row in absent]  # a delay of faults that were drawn and not found
+        texts.append([_text(x, places, best, missed=late) for x, late in zip(column, never, strict=True)])
+    return [(name, *row) for name, row in zip(found, zip(*texts, strict=True), strict=True)]
+
+
+def _scaled(x: float | None, factor: float) -> float | None:
+    return None if x is None else factor * x
+
+
+def _text(x: float | None, places: int, best: float | None, *, missed: bool) -> str:
+    if x is None:
+        return "missed" if missed else "-"
+    return f"{x:.{places}f}" + ("*" if best is not None and round(x, places) == best else "")
+
+
+def as_text(found: dict[str, dict[str, Any]]) -> str:
+    """The comparison table as text; one scheme makes one row."""
+    lines = [HEAD, UNITS, *cells(found)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
+    text = [
+        "  ".join(c.rjust(w) if k else c.ljust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
+        for line in lines
+    ]
+    star = "; * best of the column" if len(found) > 1 else ""
+    lines = [f"{name}: {calibrated(result)}" for name, result in found.items()]
+    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], NOTE + star, *lines])
+
+
+def calibrated(result: dict[str, Any]) -> str:
+    """What the thresholds are worth, in a sentence."""
+    found = result.get("calibration")
+    if not found:
+        alarms = result["false_alarm_runs"] or 0.0
+        unfit = f" They do not suit these arms: {100 * alarms:.0f} % of the healthy runs raise an alarm; see --false-alarms."
+        return "Thresholds as given." + (unfit if alarms > UNFIT else "")
+    low, high = found["false_alarm_runs_95"]
+    return (
+        f"Thresholds set for {100 * found['wanted']:g} % of healthy runs with an alarm: "
+        f"{100 * found['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] of {found['fresh_runs']} fresh ones."
+    )
+
+
+def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
+    """Who wins where, from the 95 % intervals of paired figures."""
+    lines = ["", "Paired by scenario, judged by 95 % intervals; in brackets the median of one error over the other:"]
+    for pair in pairs:
+        words = {"delay": pair["delay"]} | {error: pair[error]["word"] for error in ERRORS if error in pair}
+        parts = [
+            f"{word} {', '.join(_plain(k, pair[k]) for k, w in words.items() if w == word)}"
+            for word in WINS
+            if word in words.values()
+        ]
+        early = f"earlier in {pair['earlier']}, later in {pair['later']}, at once with it in {pair['same']}"
+        lines.append(
+            f"  {pair['kind']} faults, {pair['scheme']} against {pair['other']} ({pair['n']}): {early}; {'; '.join(parts)}"
+        )
+    return "\n".join(lines)
+
+
+def _plain(name: str, figure: Any) -> str:
+    plain = {"fault_tau_rmse_nm": "torque estimate", "fault_q_rmse_deg": "angle estimate", "tracking_rmse_deg": "tracking"}
+    ratio = "" if isinstance(figure, str) or figure["value"] is None else f" ({figure['value']:.2f})"
+    return plain.get(name, name) + ratio
+
+
+def kinds_as_text(result: dict[str, Any]) -> str:
+    """One scheme by kind of fault."""
+    head = f"{'fault':24}{'n':>7}{'detected':>10}{'kind right':>12}{'joint right':>12}{'delay':>9}{'isolated':>10}"
+    lines = ["", head, f"{'':24}{'':7}{'%':>10}{'% of det.':>12}{'% of det.':>12}{'ms':>9}{'ms':>10}", "-" * len(head)]
+    for name, part in result["by_kind"].items():
+        shares = [
+            _text(_scaled(part[k], 100), 1, None, missed=False) for k in ("detection", "isolation_kind", "isolation_joint")
+        ]
+        times = [_text(_scaled(part[k], 1e3), 0, None, missed=True) for k in ("delay_median_s", "isolated_median_s")]
+        lines.append(
+            f"{name:24}{part['n_faults']:7d}{shares[0]:>10}{shares[1]:>12}{shares[2]:>12}{times[0]:>9}{times[1]:>10}"
+        )
+    low, high = result["false_alarm_runs_95"]
+    alarms = "none were drawn" if result["false_alarm_runs"] is None else (
+        f"{100 * result['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] with an alarm"
+    )  # fmt: skip
+    return "\n".join(
+        [*lines, f"healthy runs ({result['n_healthy']}): {alarms}; diverged: {result['diverged']} of {result['n']} runs"]
+    )

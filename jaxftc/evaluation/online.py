@@ -1,0 +1,193 @@
+"""Figures of merit of a run, kept while it lasts: a campaign stores no trajectory.
+
+``init`` and ``step`` follow one tick after the other. The truth is the scenario's: a fault is there from the first onset to
+the last clearance. ``Score`` has one number a scenario; ``table`` makes columns of it.
+
+An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused. A
+fault is found by an alarm that rises in that time: one that is up from before has found nothing. A fault that would begin
+after the run's end is none.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.config import Config
+from jaxftc.evaluation.metrics import RECOVERY, SETTLE
+from jaxftc.numerics.batch import trailing
+from jaxftc.robot import rigid_body
+from jaxftc.scenarios.scenario import Scenario
+from jaxftc.simulation.closed_loop import Trace
+from jaxftc.types import Array
+
+ISOLATED = 0.020  # s for which every joint's verdict must stay right to count as isolated
+ROUGH = 50.0  # Hz, above which torque counts as rough
+LEVELS = np.geomspace(1 / 4, 4, 25)  # threshold scales of the ROC; the middle one is 1
+
+
+class Truth(NamedTuple):
+    """What is true of a run, which only the scoring may know."""
+
+    wanted: Array  # [n, ...] int32, the verdict that is right while the faults are there
+    healthy: Array  # [...] bool
+    onset: Array  # [...] s, first onset; 0 in a healthy run
+    clear: Array  # [...] s, last clearance; infinite in a healthy run
+
+
+class Score(NamedTuple):
+    """One run. Sums run over joints and ticks; times are infinite where the thing did not happen."""
+
+    se_tau: Array  # (N m)^2, of the torque-fault estimate's error
+    se_q: Array  # rad^2, of the encoder-fault estimate's error
+    ise: Array  # rad^2, true angle against the reference
+    iae: Array  # rad
+    itae: Array  # rad s
+    track_max: Array  # rad, largest of any joint
+    effort: Array  # 1, squared torque over its limit
+    travel: Array  # 1, change of torque over its limit
+    rough: Array  # 1, squared torque over its limit above ROUGH
+    saturated: Array  # joint-ticks at the torque limit
+    peak: Array  # 1, largest torque over its limit
+    false_ticks: Array  # ticks with a false alarm
+    false_events: Array  # times that a false alarm rose
+    false_at: Array  # s, first alarm that is not excused
+    began: Array  # s, first tick at or after onset
+    alarm_at: Array  # s, first alarm of a joint and channel that rises at or after onset and is excused
+    isolated_at: Array  # s, from when on every verdict was right for ISOLATED, at or after onset
+    quiet_at: Array  # s, first tick after clearance without an alarm
+    verdict: Array  # [n, ...] int32, SETTLE after alarm_at; of a healthy run all that was ever said
+    crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
+    healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm
+    healthy_q: Array  # [n, ...] rad
+    healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the second look spoke first
+    lost: Array  # bool, the arm diverged
+
+
+class State(NamedTuple):
+    """The score so far and what the next tick needs."""
+
+    score: Score
+    tau: Array  # [n, ...] 1, last torque over its limit
+    verdict: Array  # [n, ...] int32, of the last tick
+    ratio: Array  # 1, largest statistic over its threshold, of the last tick
+    rough: Array  # [2, n, ...] 1, states of the high-pass filter
+    held: Array  # [alarm_ticks - 1, n, ...] N m, last torque statistics
+    right: Array  # ticks in a row with every verdict right
+    top: Array  # 1, largest statistic over its threshold so far, before onset and from then on
+
+
+def truth(config: Config, scenario: Scenario) -> Truth:
+    """What the scenario says of its faults; scenario axes trailing."""
+    faults = scenario.fault_tau, scenario.fault_q
+    faulty = [(fault.kind > 0) & (fault.onset <= (config.ticks - 1) * config.dt) for fault in faults]
+    ill = (faulty[0] | faulty[1]).any(0)
+    onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
+    clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
+    wanted = faulty[0].astype(jnp.int32) + 2 * faulty[1].astype(jnp.int32)
+    return Truth(wanted, ~ill, jnp.where(ill, onset, 0.0), jnp.where(ill, clear, jnp.inf))
+
+
+def init(config: Config, like: Array) -> State:
+    """Nothing scored yet; ``like`` [n, ...] gives scenario axes and precision."""
+    zero, never = jnp.zeros_like(like[0]), jnp.full_like(like[0], jnp.inf)
+    scores = {name: zero for name in Score._fields}
+    scores |= {name: never for name in ("false_at", "began", "alarm_at", "isolated_at", "quiet_at")}
+    scores |= {
+        "verdict": jnp.zeros(like.shape, jnp.int32),
+        "crossed": jnp.full((len(LEVELS), *zero.shape), jnp.inf, like.dtype),
+        "healthy_tau": jnp.zeros_like(like),
+        "healthy_q": jnp.zeros_like(like),
+        "lost": jnp.zeros(zero.shape, bool),
+    }
+    held = jnp.zeros((config.alarm_ticks - 1, *like.shape), like.dtype)
+    rough = jnp.zeros((2, *like.shape), like.dtype)
+    return State(Score(**scores), jnp.zeros_like(like), scores["verdict"], zero, rough, held, right=zero, top=zero)
+
+
+def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
+    """One tick: ``tick`` is a ``Trace`` of a moment, [n, ...]."""
+    score, out, t = state.score, tick.out, tick.t
+    limit = scale(config, tick.q)
+    limited = rigid_body.trailing_constant(np.isfinite(config.robot.torque_limit), tick.q) > 0
+    tau = out.tau / limit
+    change = jnp.where(t > 0, tau - state.tau, 0.0)
+    filtered, rough = _high_pass(config, state.rough, tau, t)
+    error = tick.q - tick.q_ref
+    size = jnp.abs(error).sum(0)
+
+    before, excused = (t < true.onset) | true.healthy, (t >= true.onset) & (t <= true.clear + RECOVERY)
+    false = out.detected & before
+    rises = (out.verdict & ~state.verdict > 0).any(0)
+    alarm_at = jnp.minimum(score.alarm_at, jnp.where(rises & excused, t, jnp.inf))
+    right = jnp.where((t >= true.onset) & (out.verdict == true.wanted).all(0), state.right + 1, 0.0)
+    enough = round(ISOLATED / config.dt)
+    scoring = true.healthy | (t <= alarm_at + SETTLE + 0.5 * config.dt) & (alarm_at <= t)
+
+    size_tau, size_q = jnp.abs(out.statistic_tau), jnp.abs(out.statistic_q)
+    history = jnp.concatenate([state.held, size_tau[None]])
+    lasting = history.min(0)
+    ratio = jnp.maximum(lasting / out.threshold_tau, size_q / out.threshold_q).max(0)
+    top = jnp.where((t >= true.onset) & (t - config.dt < true.onset), 0.0, state.top)
+    spoke = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be the alarm's own kick
+    ratio = jnp.where(spoke, jnp.inf, ratio)
+    levels = trailing(jnp.asarray(LEVELS, t.dtype), 1, ratio.ndim)
+    return State(
+        score=Score(
+            se_tau=score.se_tau + ((out.fault_tau_hat - tick.fault_tau) ** 2).sum(0),
+            se_q=score.se_q + ((out.fault_q_hat - tick.fault_q) ** 2).sum(0),
+            ise=score.ise + (error * error).sum(0),
+            iae=score.iae + size,
+            itae=score.itae + t * size,
+            track_max=jnp.maximum(score.track_max, jnp.abs(error).max(0)),
+            effort=score.effort + (tau * tau).sum(0),
+            travel=score.travel + jnp.abs(change).sum(0),
+            rough=score.rough + (rough * rough).sum(0),
+            saturated=score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited).sum(0),
+            peak=jnp.maximum(score.peak, jnp.abs(tau).max(0)),
+            false_ticks=score.false_ticks + false,
+            false_events=score.false_events + (false & (state.verdict == 0).all(0)),
+            false_at=jnp.minimum(score.false_at, jnp.where(out.detected & (true.healthy | ~excused), t, jnp.inf)),
+            began=jnp.minimum(score.began, jnp.where(t >= true.onset, t, jnp.inf)),
+            alarm_at=alarm_at,
+            isolated_at=jnp.minimum(score.isolated_at, jnp.where(right >= enough, t - (enough - 1) * config.dt, jnp.inf)),
+            quiet_at=jnp.minimum(score.quiet_at, jnp.where(~out.detected & (t > true.clear), t, jnp.inf)),
+            verdict=jnp.where(scoring, jnp.where(true.healthy, score.verdict | out.verdict, out.verdict), score.verdict),
+            crossed=jnp.minimum(score.crossed, jnp.where(excused & (ratio >= levels) & (state.ratio < levels), t, jnp.inf)),
+            healthy_tau=jnp.where(before, jnp.maximum(score.healthy_tau, lasting), score.healthy_tau),
+            healthy_q=jnp.where(before, jnp.maximum(score.healthy_q, size_q), score.healthy_q),
+            healthy_ratio=jnp.where(before, jnp.maximum(score.healthy_ratio, ratio), score.healthy_ratio),
+            lost=score.lost | ~jnp.isfinite(tick.q).all(0),
+        ),
+        tau=tau,
+        rough=filtered,
+        held=history[1:],
+        verdict=out.verdict,
+        ratio=ratio,
+        right=right,
+        top=jnp.maximum(top, ratio),
+    )
+
+
+def scale(config: Config, like: Array) -> Array:
+    """Torque limits [n, ...] N m; 1 where there is none."""
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    return rigid_body.trailing_constant(limit, like)
+
+
+def _high_pass(config: Config, state: Array, x: Array, t: Array) -> tuple[Array, Array]:
+    """(state [2, n, ...], x above ROUGH [n, ...]): second-order Butterworth by the bilinear transform, at rest at t = 0.
+
+    Nothing is above ROUGH where the sample rate is too low for it.
+    """
+    if 2 * ROUGH * config.dt >= 1:
+        return state, jnp.zeros_like(x)
+    k = math.tan(math.pi * ROUGH * config.dt)
+    b = 1 / (1 + math.sqrt(2) * k + k * k)
+    a1, a2 = 2 * (k * k - 1) * b, (1 - math.sqrt(2) * k + k * k) * b
+    first, second = jnp.where(t > 0, state, jnp.stack([-b * x, b * x]))
+    y = b * x + first
+    return jnp.stack([second - 2 * b * x - a1 * y, b * x - a2 * y]), y

@@ -1,0 +1,160 @@
+"""What a table of rows says: shares and medians with 95 % intervals, by kind of fault, and the threshold trade-off.
+
+A figure is taken of all kinds of fault before the next: for a table that reads its columns when they are asked for.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from jaxftc.evaluation.intervals import Interval, median, share
+from jaxftc.evaluation.online import LEVELS
+from jaxftc.evaluation.table import CROSSINGS
+from jaxftc.types import NORMAL, VERDICTS
+
+FAULTY = VERDICTS[NORMAL + 1 :]
+ERRORS = {  # and the kinds of scenario that they are taken over: an estimate counts where there is something to estimate
+    "fault_tau_rmse_nm": ("actuator", "both"),
+    "fault_q_rmse_deg": ("sensor", "both"),
+    "tracking_rmse_deg": VERDICTS,
+    "chattering": VERDICTS,
+}
+MORE = ("tracking_max_deg", "rough", "effort", "peak", "saturated_share")  # beside them, by kind of fault
+FIXED = 0.01  # share of healthy runs with an alarm at which delays are compared
+
+Table = Mapping[str, np.ndarray]
+
+
+class Part(Mapping[str, np.ndarray]):
+    """Some rows of a table."""
+
+    def __init__(self, rows: Table, where: np.ndarray) -> None:
+        self._rows, self._where = rows, where
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self._rows[name][self._where]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+
+def summarise(rows: Table, scheme: str) -> dict[str, Any]:
+    """Everything for ``summary.json``; a figure ``x`` has its interval beside it, ``x_95``. Infinite and absent are null."""
+    kind = rows["kind"]
+    faulty, healthy = kind != VERDICTS[NORMAL], kind == VERDICTS[NORMAL]
+    early = faulty & (rows["onset_s"] > 0)
+    found = {"n": len(kind), "scheme": scheme, "n_healthy": int(healthy.sum()), "diverged": int(rows["diverged"].sum())}
+    found |= _share("false_alarm_runs", rows["false_alarm"][healthy])
+    found |= _share("false_alarm_before_onset", rows["false_alarm"][early])
+    found |= _detection(Part(rows, faulty))
+    found["n_by_kind"] = {name: int((kind == name).sum()) for name in VERDICTS}
+    delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
+    found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
+    found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
+    found["confusion"] = confusion(rows).tolist()
+    found["by_kind"] = _by_kind(rows)
+    found["errors"] = {name: _number(median(rows[name][np.isin(kind, kinds)]).value) for name, kinds in ERRORS.items()}
+    curve = roc(rows)
+    return found | {"roc": curve, "at_fixed_false_alarms": _at_fixed(curve)}
+
+
+def by_kind(rows: Table) -> dict[str, Part]:
+    """The rows of each kind of fault, by its name: ``actuator bias``, ``both bias + drift``."""
+    fault = rows["fault"]
+    names = sorted(set(fault) - {VERDICTS[NORMAL]})
+    return {str(name): Part(rows, np.flatnonzero(fault == name)) for name in names}
+
+
+def confusion(rows: Table) -> np.ndarray:
+    """Counts [4, 4]: true kind by row, verdict 60 ms after the alarm by column, in the order of VERDICTS."""
+    true, said = ([rows[column] == name for name in VERDICTS] for column in ("kind", "kind_hat"))
+    return np.array([[int((t & s).sum()) for s in said] for t in true])
+
+
+def roc(rows: Table) -> dict[str, Any]:
+    """False alarms, detection and delay with all thresholds times a scale; the loop itself ran at scale 1.
+
+    The second look does not scale, and the fuzzy stage keeps the thresholds it ran with.
+    """
+    kind = rows["kind"]
+    healthy = rows["healthy_ratio"][kind == VERDICTS[NORMAL]]
+    detection: dict[str, list[float | None]] = {name: [] for name in FAULTY}
+    delay: dict[str, list[float | None]] = {name: [] for name in FAULTY}
+    for column in CROSSINGS:
+        for name in FAULTY:
+            crossed = rows[column][kind == name]
+            detection[name].append(_number(_mean(np.isfinite(crossed))))
+            delay[name].append(_number(median(crossed).value))
+    return {
+        "scale": [round(float(level), 4) for level in LEVELS],
+        "false_alarm_runs": [_number(share(int((healthy >= level).sum()), len(healthy)).value) for level in LEVELS],
+        "detection": detection,
+        "delay_median_s": delay,
+    }
+
+
+def _at_fixed(curve: dict[str, Any]) -> dict[str, Any]:
+    """Detection and delay at the smallest scale of the ROC at which at most FIXED of the healthy runs raise an alarm."""
+    enough = [k for k, value in enumerate(curve["false_alarm_runs"]) if value is not None and value <= FIXED]
+    if not enough:
+        return {"false_alarm_runs": FIXED, "scale": None}
+    k = enough[0]
+    picked = {key: {name: curve[key][name][k] for name in FAULTY} for key in ("detection", "delay_median_s")}
+    return {"false_alarm_runs": curve["false_alarm_runs"][k], "scale": curve["scale"][k]} | picked
+
+
+def _by_kind(rows: Table) -> dict[str, dict[str, Any]]:
+    parts = by_kind(rows)
+    found = {name: _detection(part) for name, part in parts.items()}
+    for column in ("delay_s", "isolated_s", "recovery_s", *ERRORS, *MORE):
+        for name, part in parts.items():
+            found[name] |= _median(column, part[column])
+    return found
+
+
+def _detection(rows: Table) -> dict[str, Any]:
+    """Detection, and isolation among the detected."""
+    detected = rows["detected"]
+    found: dict[str, Any] = {"n_faults": len(detected)} | _share("detection", detected)
+    for name, column in (
+        ("isolation_kind", "kind_right"),
+        ("isolation_joint", "joint_right"),
+        ("isolation", "verdict_right"),
+    ):
+        found |= _share(name, rows[column][detected])
+    return found
+
+
+def _median(column: str, values: np.ndarray) -> dict[str, Any]:
+    """Under the column's name; a time's as ``<name>_median_s``, of a delay with its interval."""
+    if not column.endswith("_s"):
+        return {column: _number(median(values).value)}
+    name = f"{column[:-2]}_median_s"
+    if column == "recovery_s":
+        return {name: _number(median(values[~np.isnan(values)]).value)}
+    interval = median(values)
+    return {name: _number(interval.value), f"{name}_95": _bounds(interval)}
+
+
+def _mean(x: np.ndarray) -> float:
+    return float(x.mean()) if len(x) else math.nan
+
+
+def _share(name: str, flags: np.ndarray) -> dict[str, Any]:
+    interval = share(int(flags.sum()), len(flags))
+    return {name: _number(interval.value), f"{name}_95": _bounds(interval)}
+
+
+def _bounds(interval: Interval) -> list[float | None]:
+    return [_number(interval.low), _number(interval.high)]
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,159 @@
+"""Scores as columns, one row a scenario: what was wrong, what was said of it, how well the arm did.
+
+Angles are in degrees here: people read these numbers, in Parquet files too. Times are multiples of the sample time.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from jaxftc.config import Config
+from jaxftc.evaluation.online import LEVELS, Score
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.scenario import Scenario
+from jaxftc.types import VERDICTS
+
+CROSSINGS = tuple(f"delay_at_{level:.3f}_s" for level in LEVELS)  # delays with all thresholds times LEVELS
+UNITS: dict[tuple[type[IntEnum], int], str] = {
+    (Actuator, Actuator.BIAS): "N m",
+    (Actuator, Actuator.LOSS): "1",
+    (Actuator, Actuator.STUCK): "",
+    (Actuator, Actuator.SATURATION): "1",
+    (Sensor, Sensor.BIAS): "deg",
+    (Sensor, Sensor.DRIFT): "deg/s",
+    (Sensor, Sensor.SCALE): "1",
+    (Sensor, Sensor.FREEZE): "",
+    (Sensor, Sensor.NOISE): "1",
+    (Sensor, Sensor.DROPOUT): "",
+}
+
+
+def _names(kinds: type[IntEnum]) -> np.ndarray:
+    """Names by number, none of them empty."""
+    return np.array(["", *(k.name.lower() for k in kinds if k > 0)])
+
+
+def _faults() -> np.ndarray:
+    """Names [kind, actuator fault, encoder fault], such as ``both bias + drift``."""
+    tau, q = _names(Actuator), _names(Sensor)
+    return np.array([[[f"{v} {' + '.join(filter(None, (a, b)))}".strip() for b in q] for a in tau] for v in VERDICTS])
+
+
+FAULTS = _faults()
+
+
+def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.ndarray]:
+    """Columns [scenarios] from scenarios with a leading axis and scores [..., scenarios].
+
+    A delay is infinite where the fault was missed and not a number where there was none to find. A run that diverged
+    has infinite errors.
+    """
+    tau, q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
+    has_tau, ill = tau.faulty.any(0), tau.faulty | q.faulty
+    wanted, healthy = tau.faulty + 2 * q.faulty, ~ill.any(0)
+    verdict = np.asarray(score.verdict)
+    kind, kind_hat = _either(wanted), _either(verdict)
+    clear = np.maximum(tau.last, q.last)
+    ticks, dt, n, lost = config.ticks, config.dt, config.n, np.asarray(score.lost)
+
+    def since(at: Any) -> np.ndarray:
+        """From the first tick of the fault, s."""
+        with np.errstate(invalid="ignore"):
+            found = np.where(np.isfinite(at), np.rint((_double(at) - score.began) / dt) * dt, np.inf)
+        return np.where(healthy, np.nan, found)
+
+    def error(value: np.ndarray) -> np.ndarray:
+        return np.where(lost | ~np.isfinite(value), np.inf, value)
+
+    def rms(total: Any) -> np.ndarray:
+        return error(np.sqrt(_double(total) / (ticks * n)))
+
+    detected = np.isfinite(score.alarm_at) & ~healthy
+    goes = detected & (clear < (ticks - 1) * dt)
+    recovery = np.maximum(_double(score.quiet_at) - np.where(goes, clear, 0.0) - dt, 0.0)
+    return {
+        "scenario_id": np.asarray(scenarios.id, np.int64),
+        "kind": np.asarray(VERDICTS)[kind],
+        "fault": FAULTS[kind, tau.code, q.code],
+        "fault_tau": tau.name,
+        "fault_q": q.name,
+        "law": np.where(healthy, "", np.where(has_tau, tau.law, q.law)),
+        "joint_tau": tau.joint,
+        "joint_q": q.joint,
+        "magnitude_tau": tau.magnitude,
+        "magnitude_q": q.magnitude,
+        "magnitude": np.where(has_tau, tau.magnitude, q.magnitude),
+        "unit": np.where(has_tau, tau.unit, q.unit),
+        "onset_s": np.where(healthy, np.nan, np.minimum(tau.onset, q.onset)),
+        "clear_s": np.where(healthy, np.nan, clear),
+        "detected": detected,
+        "delay_s": since(score.alarm_at),
+        "isolated_s": since(score.isolated_at),
+        "recovery_s": np.where(goes, recovery, np.nan),
+        "kind_hat": np.asarray(VERDICTS)[kind_hat],
+        "joint_hat": _first(verdict > 0),
+        "joint_tau_hat": _first(verdict & 1 > 0),
+        "joint_q_hat": _first(verdict & 2 > 0),
+        "kind_right": kind_hat == kind,
+        "joint_right": ((verdict > 0) == ill).all(0),
+        "verdict_right": (verdict == wanted).all(0),
+        "false_alarm": np.asarray(score.false_ticks) > 0,
+        "false_ticks": np.asarray(score.false_ticks, np.int64),
+        "false_events": np.asarray(score.false_events, np.int64),
+        "false_alarm_s": np.where(np.isfinite(score.false_at), np.rint(_double(score.false_at) / dt) * dt, np.nan),
+        "healthy_ratio": error(_double(score.healthy_ratio)),
+        "fault_tau_rmse_nm": rms(score.se_tau),
+        "fault_q_rmse_deg": np.rad2deg(rms(score.se_q)),
+        "tracking_rmse_deg": np.rad2deg(rms(score.ise)),
+        "tracking_max_deg": np.rad2deg(error(_double(score.track_max))),
+        "tracking_ise_deg2s": error(np.rad2deg(np.rad2deg(_double(score.ise))) * dt),
+        "tracking_iae_degs": error(np.rad2deg(_double(score.iae)) * dt),
+        "tracking_itae_degs2": error(np.rad2deg(_double(score.itae)) * dt),
+        "effort": rms(score.effort),
+        "peak": error(_double(score.peak)),
+        "saturated_share": _double(score.saturated) / (ticks * n),
+        "chattering": error(_double(score.travel) / (n * ticks * dt)),
+        "rough": rms(score.rough),
+        "diverged": lost,
+    } | {name: since(score.crossed[k]) for k, name in enumerate(CROSSINGS)}
+
+
+def _double(x: Any) -> np.ndarray:
+    return np.asarray(x, np.float64)
+
+
+def _either(verdict: np.ndarray) -> np.ndarray:
+    """One verdict [scenarios] from those of the joints [n, scenarios]: both if both channels are named anywhere."""
+    return np.bitwise_or.reduce(np.asarray(verdict, np.int64), axis=0)
+
+
+def _first(where: np.ndarray) -> np.ndarray:
+    """Number of the first joint, from 1; 0 if there is none."""
+    return np.where(where.any(0), where.argmax(0) + 1, 0)
+
+
+class _Channel:
+    """Faults of one channel, [scenarios, n] as sampled, as columns; magnitude and law are the first faulty joint's."""
+
+    def __init__(self, config: Config, fault: Fault, kinds: type[IntEnum]) -> None:
+        onset = np.asarray(fault.onset)
+        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in score.truth
+        kind = np.where(begins, np.asarray(fault.kind), 0).T
+        self.faulty = kind > 0  # [n, scenarios]
+        at = self.faulty.argmax(0)[None]
+
+        def own(leaf: Any) -> np.ndarray:
+            return np.take_along_axis(np.asarray(leaf).T, at, 0)[0]
+
+        self.code, size = kind[at[0], np.arange(kind.shape[1])], _double(own(fault.magnitude))
+        self.name = _names(kinds)[self.code]
+        self.unit = np.array(["", *(UNITS[kinds, k] for k in kinds if k > 0)])[self.code]
+        size = np.where(np.char.startswith(self.unit, "deg"), np.rad2deg(size), size)
+        self.magnitude = np.where(self.unit == "", np.nan, size)
+        self.joint = _first(self.faulty)
+        self.law = np.select([own(fault.rise) > 0, np.isfinite(own(fault.period))], ["incipient", "intermittent"], "abrupt")
+        self.onset = np.where(self.faulty, _double(fault.onset).T, np.inf).min(0)
+        self.last = np.where(self.faulty, _double(fault.clear).T, -np.inf).max(0)

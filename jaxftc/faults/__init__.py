@@ -1,1 +1,0 @@
-"""Faults and scenarios: data, so that one compiled program serves every kind."""

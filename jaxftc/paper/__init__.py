@@ -1,0 +1,1 @@
+"""The experiment of the paper: its conditions, what it claims, its figures and page."""

@@ -1,0 +1,183 @@
+"""The report of a campaign: confusion, delays, threshold trade-off, and the worst scenarios with their traces."""
+
+from __future__ import annotations
+
+import html
+import math
+import shlex
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from jaxftc.config import Config
+from jaxftc.evaluation import comparison as versus
+from jaxftc.evaluation import metrics
+from jaxftc.evaluation.summary import FAULTY, Table, by_kind
+from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
+from jaxftc.report.page import embed, page, table
+from jaxftc.simulation.closed_loop import Trace
+from jaxftc.types import VERDICTS
+
+
+def campaign(
+    config: Config, folder: Path, rows: Table, result: dict[str, Any], worst: list[tuple[dict[str, Any], Trace]]
+) -> str:
+    """One scheme's page."""
+    sections = [
+        table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS),
+        f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
+        "<h2>What was true, what was said</h2>",
+        embed(confusion(result)),
+        "<h2>By kind of fault</h2>",
+        _kinds(result),
+        "<h2>Detection delay</h2>",
+        embed(delays(rows)),
+        "<h2>Thresholds: false alarms against detection and delay</h2>",
+        "<p>All thresholds times a scale, read off the statistics of the same runs; the second look and the fuzzy stage "
+        "keep the thresholds that they ran with.</p>",
+        embed(trade_off({result["scheme"]: result})),
+    ]
+    for row, trace in worst:
+        title = f"Scenario {row['scenario_id']}: {row['kind']} {row['fault_tau']} {row['fault_q']}".strip()
+        command = f"jaxftc simulate --from {shlex.quote(str(folder))} --id {row['scenario_id']}"
+        sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
+        columns = metrics.columns(trace)
+        sections += [embed(residual_figure(config, columns, "Residuals", _shown(row)))]
+    return page(f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios", sections, config.robot.joint_names)
+
+
+def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) -> str:
+    """All schemes of a comparison on one page."""
+    text = versus.pairs_as_text(pairs)
+    sections = [
+        table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE}; * best of the column.</p>",
+        *(f"<p>{html.escape(name)}: {versus.calibrated(result)}</p>" for name, result in found.items()),
+        "<h2>Thresholds: false alarms against detection and delay</h2>",
+        embed(trade_off(found)),
+        f"<h2>Paired by scenario</h2><pre>{html.escape(text.strip())}</pre>",
+        "<h2>What was true, what was said</h2>",
+        *(f"<h3>{html.escape(name)}</h3>" + embed(confusion(result)) for name, result in found.items()),
+        "<h2>By kind of fault</h2>",
+        *(f"<h3>{html.escape(name)}</h3>" + _kinds(result) for name, result in found.items()),
+    ]
+    return page(f"jaxftc campaign: {', '.join(found)}", sections)
+
+
+def confusion(result: dict[str, Any]) -> go.Figure:
+    """Counts and shares by true kind."""
+    counts = np.asarray(result["confusion"])
+    shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
+    text = [[f"{c}<br>{100 * s:.1f} %" for c, s in zip(*pair, strict=True)] for pair in zip(counts, shares, strict=True)]
+    figure = go.Figure(
+        go.Heatmap(z=shares, x=VERDICTS, y=VERDICTS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
+    )
+    figure.update_yaxes(autorange="reversed", title_text="true kind")
+    title = f"Verdict {1e3 * metrics.SETTLE:.0f} ms after the alarm"
+    figure = finish(figure, title, "Counts, and shares of the row; normal: no alarm.")
+    return figure.update_xaxes(title_text="said")
+
+
+def delays(rows: Table) -> go.Figure:
+    """Share of the faults found within a time, by kind."""
+    figure = go.Figure()
+    last = 1e3 * max((x for x in rows["delay_s"] if math.isfinite(x)), default=0.0)
+    for k, (name, part) in enumerate(by_kind(rows).items()):
+        delay = np.sort(part["delay_s"])
+        found = delay[np.isfinite(delay)] * 1e3
+        step = max(1, len(found) // 400)  # no eye sees more
+        shown = np.unique(np.r_[np.arange(0, len(found), step), len(found) - 1]) if len(found) else np.arange(0)
+        points = np.r_[found[shown], last]  # all curves end at the same time, those that are at 100 % at once included
+        level = np.r_[shown + 1, len(found)] / max(len(delay), 1)
+        dash = DASHES[k // len(COLOURS) % len(DASHES)]
+        figure.add_scatter(
+            x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
+            line={"shape": "hv", "color": COLOURS[k % len(COLOURS)], "dash": dash},
+        )  # fmt: skip
+    figure.update_yaxes(title_text="% of the faults found", range=[0, 102])
+    figure = finish(
+        figure, "Found within", "Delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses."
+    )
+    return figure.update_xaxes(LOGARITHMIC, title_text="delay, ms")
+
+
+def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
+    """Detection and delay of each kind against the share of healthy runs with an alarm, over the threshold scale."""
+    figure = make_subplots(
+        2, len(FAULTY), shared_xaxes=True, vertical_spacing=0.08, subplot_titles=[f"{kind} faults" for kind in FAULTY]
+    )
+    for k, (scheme, result) in enumerate(found.items()):
+        curve = result["roc"]
+        least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
+        alarms = [None if x is None else max(100 * x, least) for x in curve["false_alarm_runs"]]
+        look: dict[str, Any] = {
+            "legendgroup": scheme, "mode": "lines+markers", "line_color": COLOURS[k % len(COLOURS)],
+            "marker": _ringed(curve["scale"]), "customdata": curve["scale"],
+            "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
+        }  # fmt: skip
+        for c, kind in enumerate(FAULTY, start=1):
+            share = [None if x is None else 100 * x for x in curve["detection"][kind]]
+            late = [None if x is None else 1e3 * x for x in curve["delay_median_s"][kind]]
+            figure.add_scatter(x=alarms, y=share, name=scheme, showlegend=c == 1, **look, row=1, col=c)
+            figure.add_scatter(x=alarms, y=late, showlegend=False, **look, row=2, col=c)
+    figure.update_yaxes(title_text="% found", row=1, col=1)
+    figure.update_yaxes(title_text="median delay, ms", row=2, col=1)
+    note = "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run."
+    figure = finish(figure, "Each point is a scale of all thresholds", note, panels=3)
+    figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
+    return figure.update_xaxes(LOGARITHMIC).update_layout(legend_y=1.06)
+
+
+def _ringed(scales: list[float]) -> dict[str, Any]:
+    """Markers of a curve over threshold scales: the scale 1 as a large ring."""
+    own = np.isclose(scales, 1.0)
+    return {
+        "symbol": np.where(own, "circle-open", "circle"),
+        "size": np.where(own, 13, 6),
+        "line": {"width": np.where(own, 2, 0)},
+    }
+
+
+def _kinds(result: dict[str, Any]) -> str:
+    head = ("fault", "n", "detected", "kind right", "joint right", "delay", "its 95 %", "isolated", "torque est.",
+            "angle est.", "tracking")  # fmt: skip
+    units = ("", "", "%", "% of det.", "% of det.", "median ms", "ms", "median ms", "rms N m", "rms deg", "rms deg")
+    lines = []
+    for name, part in result["by_kind"].items():
+        bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
+        shares = (_show(part[k], 100, 1) for k in ("detection", "isolation_kind", "isolation_joint"))
+        errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
+        delay, isolated = (_show(part[k], 1e3, 0, "missed") for k in ("delay_median_s", "isolated_median_s"))
+        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, isolated, *errors))
+    return table(head, lines, units=units)
+
+
+def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
+    return absent if x is None else f"{factor * x:.{places}f}"
+
+
+def _shown(row: dict[str, Any]) -> int:
+    """The joint that a trace shows first."""
+    return max(row["joint_tau"] or row["joint_q"] or row["joint_hat"], 1) - 1
+
+
+def _fate(row: dict[str, Any]) -> str:
+    """What became of a scenario, in words."""
+    if row["diverged"]:
+        return "The run diverged"
+    if math.isnan(row["delay_s"]):
+        said = (
+            "no alarm" if not row["false_alarm"] else f"false alarm at {row['false_alarm_s']:.3f} s, said {row['kind_hat']}"
+        )
+        return f"No fault; {said}"
+    where = ", ".join(f"{c} of joint {row[j]}" for c, j in (("actuator", "joint_tau"), ("encoder", "joint_q")) if row[j])
+    size = "" if math.isnan(row["magnitude"]) else f", {row['magnitude']:.3g} {row['unit']}".rstrip(" 1")
+    text = f"Fault of the {where}{size}, from {row['onset_s']:.3f} s: "
+    false = f"; false alarm at {row['false_alarm_s']:.3f} s" if row["false_alarm"] else ""
+    if math.isinf(row["delay_s"]):
+        return f"{text}missed{false}"
+    blamed = f"joint {row['joint_hat']} first" if row["joint_hat"] else "no joint"
+    after, later = (f"{1e3 * seconds:.0f} ms" for seconds in (row["delay_s"], metrics.SETTLE))
+    return f"{text}alarm after {after}, {later} later said {row['kind_hat']}, {blamed}{false}"

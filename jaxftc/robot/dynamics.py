@@ -1,0 +1,127 @@
+"""The door to the arm's dynamics: one signature, two engines.
+
+Equation of motion (design choice on Eq. 1, signs as in the README)::
+
+    M(q) qdd + h(q, qd) + D qd + f_c(qd) = tau + fault_tau
+
+M holds the reflected motor inertia, f_c is Coulomb friction smoothed by tanh. ``mjx`` takes M and h from MuJoCo MJX,
+``chain`` from the unrolled recursions. The plant's masses, payload, friction and motor inertia are leaves of ``Plant``; the
+controller's nominal model is the robot itself and never sees them.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import checks
+from jaxftc.numerics.barrier import stack
+from jaxftc.numerics.batch import trailing
+from jaxftc.robot import mjx, rigid_body
+from jaxftc.robot.model import Robot
+from jaxftc.types import Array
+
+Engine = Literal["mjx", "chain"]
+ENGINES: tuple[str, ...] = ("mjx", "chain")
+
+
+class Plant(NamedTuple):
+    """How the arm that is simulated differs from the nominal one: factors (1 is nominal) and a payload."""
+
+    mass: Array  # [n, ...] 1, on the mass and inertia of each link
+    payload: Array  # [...] kg, at the tool
+    armature: Array  # [n, ...] 1, on the reflected motor inertia
+    damping: Array  # [n, ...] 1, on the viscous friction
+    coulomb: Array  # [n, ...] 1, on the Coulomb friction
+    torque_constant: Array  # [n, ...] 1, delivered torque over commanded torque
+
+
+def nominal_plant(robot: Robot) -> Plant:
+    """The arm exactly as the model has it."""
+    one = jnp.ones(robot.n)
+    return Plant(mass=one, payload=jnp.zeros(()), armature=one, damping=one, coulomb=one, torque_constant=one)
+
+
+def coulomb(robot: Robot, qd: Array) -> Array:
+    """Coulomb friction [n, ...] N m, direction-dependent: Tc+ at high positive speed, -Tc- at high negative speed."""
+    t = jnp.tanh(qd / robot.coulomb_speed)
+    positive = rigid_body.trailing_constant(robot.coulomb_positive, qd)
+    negative = rigid_body.trailing_constant(robot.coulomb_negative, qd)
+    return 0.5 * ((positive + negative) * t + (positive - negative) * t * t)
+
+
+def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float = 0.0) -> Array:
+    """Qdd [n, ...] rad/s^2 for a delivered torque; with dt > 0 viscous friction acts implicitly, as MuJoCo's Euler does."""
+    plant = _align(plant, qd.ndim - 1)
+    damping = plant.damping * rigid_body.trailing_constant(robot.damping, qd)
+    armature = plant.armature * rigid_body.trailing_constant(robot.armature, qd)
+    drive = tau - damping * qd - plant.coulomb * coulomb(robot, qd)
+    if engine == "mjx":
+        matrix, bias = mjx.mass_and_bias(robot, plant.mass, plant.payload, q, qd)
+        rows = [rigid_body.lanes(row) for row in rigid_body.lanes(matrix)]
+        drive = drive - bias
+    else:
+        at = rigid_body.pose(robot, q)
+        inertias = rigid_body.scaled_inertias(robot, plant.mass, plant.payload)
+        rows = rigid_body.mass_matrix(robot, inertias, at)
+        drive = drive - rigid_body.stack(rigid_body.newton_euler(robot, inertias, at, rigid_body.lanes(qd), None), drive)
+    for i, diagonal in enumerate(rigid_body.lanes(armature + dt * damping)):
+        rows[i][i] = rows[i][i] + diagonal
+    return stack(rigid_body.solve(rows, rigid_body.lanes(drive)))
+
+
+def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:
+    """(q, qd) one tick later under a held torque: semi-implicit Euler, the same scheme as ``mj_step``."""
+    qd_next = qd + dt * acceleration(robot, engine, plant, q, qd, tau, dt)
+    return q + dt * qd_next, qd_next
+
+
+def forward_dynamics(
+    robot: Robot, q: Array, qd: Array, tau: Array, engine: Engine = "mjx", plant: Plant | None = None
+) -> Array:
+    """Joint accelerations [n, ...] rad/s^2 under torques [n, ...] N m, friction included.
+
+    Raises:
+        ValueError: an unknown engine, or an array whose first axis is not the joints.
+    """
+    checks.one_of("engine", engine, ENGINES)
+    q, qd, tau = _arrays(robot, q=q, qd=qd, tau=tau)
+    return acceleration(robot, engine, nominal_plant(robot) if plant is None else plant, q, qd, tau)
+
+
+def inverse_dynamics(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
+    """Joint torques [n, ...] N m that give accelerations [n, ...] rad/s^2, friction included, by one Newton-Euler pass."""
+    q, qd, qdd = _arrays(robot, q=q, qd=qd, qdd=qdd)
+    return nominal_torque(robot, rigid_body.pose(robot, q), qd, qdd) + coulomb(robot, qd)
+
+
+def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> Array:
+    """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
+    inertias = rigid_body.nominal_inertias(robot)
+    links = rigid_body.newton_euler(robot, inertias, at, rigid_body.lanes(qd), rigid_body.lanes(qdd))
+    motor = rigid_body.trailing_constant(robot.armature, qdd) * qdd + rigid_body.trailing_constant(robot.damping, qd) * qd
+    return rigid_body.stack(links, motor) + motor
+
+
+def nominal_mass(robot: Robot, at: rigid_body.Pose) -> list[list[rigid_body.Lane]]:
+    """M(q) of the nominal arm, motor inertia included, as n x n lanes."""
+    matrix = rigid_body.mass_matrix(robot, rigid_body.nominal_inertias(robot), at)
+    for i in range(robot.n):
+        matrix[i][i] = matrix[i][i] + float(robot.armature[i])
+    return matrix
+
+
+def _align(plant: Plant, axes: int) -> Plant:
+    aligned = Plant(*(trailing(leaf, 1, axes) for leaf in plant))
+    return aligned._replace(payload=trailing(plant.payload, 0, axes))
+
+
+def _arrays(robot: Robot, **values: Array) -> list[Array]:
+    arrays = [jnp.asarray(value) for value in values.values()]
+    for name, value in zip(values, arrays, strict=True):
+        checks.joints_first(name, value, robot.n)
+    checks.same_shape(list(values), arrays)
+    dtype = jnp.result_type(*arrays, np.float32)
+    return [value.astype(dtype) for value in arrays]

@@ -1,0 +1,196 @@
+"""Scenarios drawn from a preset's laws, each a function of the key and of its id alone.
+
+Scenario ``id`` is drawn with ``fold_in(key, id)``, so it does not depend on how many are drawn, in which order or chunk. Its
+uniform numbers are dealt in a fixed order, also those for kinds of fault that the preset does not have: a law that changes
+changes no other draw. What is new is dealt last, so that a preset draws today what it drew before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import checks
+from jaxftc.compile.xla import jit
+from jaxftc.config import Config
+from jaxftc.robot.dynamics import Plant
+from jaxftc.scenarios.distributions import scaled
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.preset import Paper, Preset, Times
+from jaxftc.scenarios.preset_file import load_preset
+from jaxftc.scenarios.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
+from jaxftc.scenarios.presets import PRESET_NAMES as PRESET_NAMES
+from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
+from jaxftc.scenarios.uniforms import Dice
+from jaxftc.types import Array
+
+DEG = math.radians(1.0)  # rad
+
+
+def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard", *, config: Config) -> Scenario:
+    """Draw n scenarios with a leading axis, ids 0 to n - 1.
+
+    ``preset`` is a name, the path of a preset file, or a ``Preset``. ``paper`` deals the paper's four conditions in turn and
+    draws nothing.
+
+    Raises:
+        ValueError: an unknown preset, a preset file that is not right, n below 1, a key that is none, or a preset that does
+            not fit the arm.
+    """
+    laws = load_preset(preset)
+    checks.random_key("key", key)
+    checks.integer("n", n, 1, "it is the number of scenarios")
+    check_arm(laws, config, "the preset" if isinstance(preset, Preset) else f"preset {str(preset)!r}")
+    return _draw_all(laws, config, key, jnp.arange(n, dtype=jnp.int32))
+
+
+def draw_all(preset: Preset, config: Config, key: Array, ids: Array) -> Scenario:
+    """Draw the scenarios of some ids [...] int32; the leaves of the result have the axes of ids first.
+
+    Each depends on its id and the key alone. Under ``jax.jit``, preset and config are static.
+
+    Raises:
+        ValueError: the preset does not fit the arm.
+    """
+    check_arm(preset, config, "the preset")
+    return _draw_all(preset, config, key, jnp.asarray(ids, jnp.int32))
+
+
+def check_arm(preset: Preset, config: Config, name: str) -> None:
+    """Refuse a preset that the arm cannot have: joints that are not there, faults of torque limits that are not there.
+
+    Raises:
+        ValueError: starting with ``name``, what came and what to do.
+    """
+    allowed = preset.joints.allowed
+    if allowed is not None and max(allowed) > config.n:
+        raise ValueError(f"{name}: joints.allowed: {config.robot.name!r} has joints 1 to {config.n}, got {list(allowed)}")
+    if isinstance(preset, Paper) or preset.shares.actuator + preset.shares.both == 0:
+        return
+    bias = preset.actuator.bias
+    by_limit = preset.actuator.saturation is not None or (bias is not None and bias.unit == "limit")
+    if by_limit and not np.isfinite(config.robot.torque_limit[_allowed(preset, config)]).all():
+        raise ValueError(
+            f"{name} sizes faults by torque limits, {config.robot.name!r} has "
+            f"{config.robot.torque_limit.tolist()} N m; give every joint a motor with a ctrlrange, "
+            'take a preset without saturation and with actuator.bias.unit = "N m", or build Scenario yourself'
+        )
+
+
+def _draw_all(preset: Preset, config: Config, key: Array, ids: Array) -> Scenario:
+    if isinstance(preset, Paper):
+        four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
+        return jax.tree.map(lambda leaf: leaf[ids % len(CONDITIONS)], four)._replace(id=ids)
+    drawn = jax.vmap(lambda i: draw(preset, config, jax.random.fold_in(key, i), i))(ids.reshape(-1))
+    return jax.tree.map(lambda leaf: leaf.reshape(*ids.shape, *leaf.shape[1:]), drawn)
+
+
+_draw_all = jit(_draw_all, static_argnums=(0, 1))
+
+
+def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scenario:
+    """One scenario from its own key."""
+    n = config.n
+    dice = Dice(key, 27 + 9 * n)
+    condition = jnp.searchsorted(_bounds(preset), dice.number(), side="right")
+    q_start = paper_motion(config)[0] + dice(scaled(preset.motion.start_deg, DEG), (n,))
+    q_goal = q_start + dice(scaled(preset.motion.travel_deg, DEG), (n,))
+    law = _times(preset.times, dice)
+    torque = _actuator(preset.actuator, config, dice)
+    beside = preset.sensor if preset.sensor_in_both is None else preset.sensor_in_both
+    angles = _sensor(preset.sensor, dice), _sensor(beside, dice)
+    angle = jnp.where(condition == 3, angles[1], angles[0])
+    choose = functools.partial(dice.joints, preset.joints.at_once, _allowed(preset, config), n)
+    tau_joints, q_joints = choose(), choose()
+    plant = preset.plant
+    mass, damping, coulomb = (dice(factor, (n,)) for factor in (plant.mass, plant.damping, plant.coulomb))
+    payload, noise = dice(plant.payload_kg), dice(preset.encoder.noise_rad)
+    armature, torque_constant = dice(plant.armature, (n,)), dice(plant.torque_constant, (n,))
+    return Scenario(
+        id=scenario_id,
+        q_start=q_start,
+        q_goal=q_goal,
+        noise=noise,
+        fault_tau=_fault(torque, tau_joints & ((condition == 1) | (condition == 3)), law),
+        fault_q=_fault(angle, q_joints & (condition >= 2), law),
+        plant=Plant(mass, payload, armature, damping, coulomb, torque_constant),
+    )
+
+
+def _allowed(preset: Preset, config: Config) -> list[int]:
+    """Joints that can be at fault, counted from 0."""
+    allowed = preset.joints.allowed
+    return list(range(config.n)) if allowed is None else sorted(joint - 1 for joint in allowed)
+
+
+def _bounds(preset: Preset) -> Array:
+    """Upper ends [3] of healthy, actuator and sensor on 0..1."""
+    shares = list(dataclasses.astuple(preset.shares))
+    nothing_after = np.array([not any(shares[k + 1 :]) for k in range(3)])
+    return jnp.where(nothing_after, 1.0, jnp.cumsum(jnp.asarray(shares[:3])))  # a sum can end just below 1
+
+
+def _actuator(channel: ActuatorFaults, config: Config, dice: Dice) -> Array:
+    """(kind, magnitude [n]) of an actuator fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
+    kind, side = dice.kind(kinds(channel), Actuator), dice.side()
+    bias, loss, left = (_size(fault, side, dice) for fault in (channel.bias, channel.loss, channel.saturation))
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 0.0)
+    unit = limit if channel.bias is not None and channel.bias.unit == "limit" else np.ones(config.n)
+    size = jnp.select(
+        [kind == Actuator.BIAS, kind == Actuator.LOSS, kind == Actuator.SATURATION],
+        [bias * jnp.asarray(unit, float), jnp.full(config.n, loss), jnp.full(config.n, left)],
+        jnp.zeros(config.n),
+    )
+    return jnp.concatenate([kind[None].astype(float), size])
+
+
+def _sensor(channel: SensorFaults, dice: Dice) -> Array:
+    """(kind, magnitude) of an encoder fault as one array [2]."""
+    kind, side = dice.kind(kinds(channel), Sensor), dice.side()
+    sized = {
+        Sensor.BIAS: channel.bias,
+        Sensor.DRIFT: channel.drift,
+        Sensor.SCALE: channel.scale,
+        Sensor.NOISE: channel.noise,
+    }
+    sizes = [_size(fault, side, dice) for fault in sized.values()]
+    return jnp.stack([kind.astype(float), jnp.select([kind == k for k in sized], sizes, 0.0)])
+
+
+def _size(fault: Sized | None, side: Array, dice: Dice) -> Array:
+    """The size of a kind of fault, in rad, rad/s, N m or 1; zero, from a number all the same, if it does not occur."""
+    size = dice(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
+    return side * size if isinstance(fault, Signed) and fault.sign == "random" else size
+
+
+def _times(times: Times, dice: Dice) -> dict[str, Array]:
+    """Onset, clearance, rise, period and duty of one scenario; both channels share them."""
+    slow, coming = times.incipient, times.intermittent
+    onset = dice(times.onset_s)
+    stays, lasting = dice.number() < times.permanent, dice(0.0 if times.lasting_s is None else times.lasting_s)
+    u, rise = dice.number(), dice(slow.rise_s if slow else 0.0)
+    period, duty = dice(coming.period_s if coming else math.inf), dice(coming.duty if coming else 1.0)
+    ramp = slow.share if slow else 0.0
+    comes_and_goes = (u >= ramp) & (u < ramp + (coming.share if coming else 0.0))
+    return {
+        "onset": onset,
+        "clear": jnp.where(stays, jnp.inf, onset + lasting),
+        "rise": jnp.where(u < ramp, rise, 0.0),
+        "period": jnp.where(comes_and_goes, period, jnp.inf),
+        "duty": jnp.where(comes_and_goes, duty, 1.0),
+    }
+
+
+def _fault(drawn: Array, joints: Array, law: dict[str, Array]) -> Fault:
+    """The drawn fault on some joints [n], none on the others."""
+    return Fault(
+        kind=jnp.where(joints, drawn[0], 0).astype(jnp.int32),
+        magnitude=jnp.where(joints, drawn[1:], 0.0),
+        **{name: jnp.broadcast_to(value, joints.shape) for name, value in law.items()},
+    )

@@ -1,0 +1,93 @@
+"""Scenarios: one motion, its faults and how the arm differs from its model; a batch has a leading axis.
+
+``paper`` is the paper's experiment, Eqs. (36) to (39): healthy, actuator, sensor, both, on all joints from 0.1 to 0.25 s,
+with an exact model. The paper prints the actuator fault in degrees and the sensor fault in N m; an actuator fault is a
+torque and an encoder fault an angle, so the units are swapped here and the magnitudes kept.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc import checks
+from jaxftc.config import Config
+from jaxftc.robot.dynamics import Plant, nominal_plant
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
+from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START
+from jaxftc.types import Array
+
+CONDITIONS = ("healthy", "actuator", "sensor", "both")
+ENCODER_NOISE = 3e-5  # rad, standard deviation
+PAPER_TORQUE, PAPER_ANGLE = 5.0, math.radians(1.5)  # N m and rad, Eqs. (37), (38) with their units swapped
+PAPER_WINDOW = (0.1, 0.25)  # s
+
+
+class Scenario(NamedTuple):
+    """Everything that differs from run to run."""
+
+    id: Array  # [...] int32; the noise depends on the key and on this, not on the place in a batch
+    q_start: Array  # [n, ...] rad
+    q_goal: Array  # [n, ...] rad
+    noise: Array  # [...] rad, standard deviation of the encoder
+    fault_tau: Fault
+    fault_q: Fault
+    plant: Plant
+
+
+def paper_scenario(
+    condition: str, config: Config, *, torque: float = PAPER_TORQUE, angle: float = PAPER_ANGLE, scenario_id: int = 0
+) -> Scenario:
+    """One of the paper's four conditions; torque N m and angle rad are the sizes of its faults.
+
+    The plant is the robot as the config has it: for the paper's arm, without Coulomb friction, give puma560(coulomb=False).
+    An arm that does not have six joints moves each by one radian from its zero position instead of the paper's motion.
+
+    Raises:
+        ValueError: an unknown condition.
+    """
+    checks.one_of("condition", condition, CONDITIONS)
+    n = config.n
+    start, goal = paper_motion(config)
+    healthy = no_fault(n)
+
+    def bias(kind: int, size: float) -> Fault:
+        leaves = {"kind": jnp.asarray(kind, jnp.int32), "magnitude": jnp.asarray(size, float)}
+        leaves |= {"onset": jnp.asarray(PAPER_WINDOW[0], float), "clear": jnp.asarray(PAPER_WINDOW[1], float)}
+        return healthy._replace(**{name: jnp.broadcast_to(leaf, (n,)) for name, leaf in leaves.items()})
+
+    return Scenario(
+        id=jnp.asarray(scenario_id, jnp.int32),
+        q_start=start,
+        q_goal=goal,
+        noise=jnp.asarray(ENCODER_NOISE, float),
+        fault_tau=bias(Actuator.BIAS, torque) if condition in ("actuator", "both") else healthy,
+        fault_q=bias(Sensor.BIAS, angle) if condition in ("sensor", "both") else healthy,
+        plant=nominal_plant(config.robot),
+    )
+
+
+def paper_motion(config: Config) -> tuple[Array, Array]:
+    """Start and goal [n] rad: the paper's for six joints, otherwise one radian from the zero position."""
+    if config.n == len(PAPER_START):
+        return jnp.asarray(PAPER_START, float), jnp.asarray(PAPER_GOAL, float)
+    return jnp.asarray(config.robot.q_zero, float), jnp.asarray(config.robot.q_zero + 1.0, float)
+
+
+def stack(scenarios: list[Scenario]) -> Scenario:
+    """Scenarios as one with a leading axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios)
+
+
+def trail(scenarios: Scenario) -> Scenario:
+    """From a leading scenario axis, as sampled, to a trailing one, as simulated."""
+    return jax.tree.map(lambda leaf: (np if isinstance(leaf, np.ndarray) else jnp).moveaxis(leaf, 0, -1), scenarios)
+
+
+def take(scenarios: Scenario, rows: np.ndarray | slice) -> Scenario:
+    """Some of a set with a leading axis, as NumPy arrays."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[rows], scenarios)

@@ -1,0 +1,47 @@
+"""The random numbers of one scenario and what is read from them: laws, kinds of fault, signs, joints."""
+
+from __future__ import annotations
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxftc.scenarios.distributions import Law, quantile
+from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.preset_kinds import Kind
+from jaxftc.types import Array
+
+
+class Dice:
+    """Uniform numbers of one scenario, drawn at once (one random call compiles in a second, forty do not) and dealt out."""
+
+    def __init__(self, key: Array, count: int) -> None:
+        self._left = jax.random.uniform(key, (count,), float)
+
+    def number(self, shape: tuple[int, ...] = ()) -> Array:
+        """The next numbers, U(0, 1)."""
+        count = math.prod(shape)
+        taken, self._left = self._left[:count], self._left[count:]
+        return taken.reshape(shape)
+
+    def __call__(self, law: Law, shape: tuple[int, ...] = ()) -> Array:
+        """The next numbers of a law, one each."""
+        return quantile(law, self.number(shape))
+
+    def kind(self, options: dict[str, Kind], codes: type[Actuator] | type[Sensor]) -> Array:
+        """One of some kinds of fault by their weights, int32; NONE without any."""
+        weights = [kind.weight for kind in options.values()]
+        ends = np.cumsum(weights) * (len(weights) / (sum(weights) or 1.0))  # 1, 2, 3, .. for equal weights, exactly
+        index = (len(weights) * self.number() >= ends[:-1]).sum()
+        return jnp.asarray([codes[name.upper()] for name in options] or [codes.NONE], jnp.int32)[index]
+
+    def side(self) -> Array:
+        """Either -1 or 1."""
+        return jnp.where(self.number() < 0.5, -1.0, 1.0)
+
+    def joints(self, count: int, allowed: list[int], n: int) -> Array:
+        """``count`` different joints of those allowed, [n] bool."""
+        order = jnp.argsort(self.number((n,))[: len(allowed)])
+        return jnp.zeros(n, bool).at[jnp.asarray(allowed)].set(order < count)

@@ -1,0 +1,126 @@
+"""Computed torque alone: no diagnosis. The control law of every baseline.
+
+    tau = M (qdd_ref + kd (qd_ref - qd) + kp (q_ref - q)) + h + D qd + f_c(qd_ref) - fault
+
+Source: Siciliano, Sciavicco, Villani, Oriolo, Robotics: Modelling, Planning and Control, 2009, 8.5.2 (inverse dynamics
+control). The speed is the same predictive filter's as in the cascade (control/surface.py), so that schemes differ by their
+observers and laws only. The estimated fault, where a baseline has one, is compensated as a disturbance observer does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxftc.config import Config
+from jaxftc.control import surface
+from jaxftc.control.last_command import Pending, commanded, holding, pack
+from jaxftc.gains import Gains
+from jaxftc.numerics import smooth
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.types import Array, Measurement, Output, Reference
+
+
+class Motion(NamedTuple):
+    """What the encoder says of the motion."""
+
+    q: Array  # [n, ...] rad, reading, predicted where there is none
+    qd: Array  # [n, ...] rad/s
+    half: Array  # [n, ...] rad/s, speed half a tick ago, which is what a difference of two angles says
+    held: Array  # [n, ...] 1 where there was no reading, else 0
+
+
+class State(NamedTuple):
+    """What the next tick needs."""
+
+    motion: Motion
+    pending: Pending
+
+    @property
+    def q(self) -> Array:
+        """Angle [n, ...] rad."""
+        return self.motion.q
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """At rest in q [n, ...] rad."""
+    del gains
+    return State(rest(q), holding(config.robot, q))
+
+
+def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
+    """Track, and say nothing of faults."""
+    _, qdd = commanded(config.robot, state.pending, measurement.tau)
+    motion = follow(config, gains, state.motion, qdd, measurement.q)
+    zero = jnp.zeros_like(motion.q)
+    pending = law(config, gains, motion.q, motion.qd, reference, zero)
+    never = jnp.full_like(zero, jnp.inf)
+    return State(motion, pending), report(config, pending, motion.q, motion.qd, threshold_tau=never, threshold_q=never)
+
+
+def rest(q: Array) -> Motion:
+    """Standing still at q [n, ...] rad."""
+    zero = jnp.zeros_like(q)
+    return Motion(q, zero, zero, zero)
+
+
+def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Array) -> Motion:
+    """Angle and speed from a reading [n, ...] rad and the acceleration [n, ...] rad/s^2 of the last tick.
+
+    Without a reading both are predicted. When readings come back the angle moves to them; that it had drifted is no speed.
+    """
+    predicted = before.q + config.dt * (before.qd + 0.5 * config.dt * qdd)  # the angle at which the speed is not corrected
+    missing = ~jnp.isfinite(reading)
+    q = jnp.where(missing, predicted, reading)
+    back = ~missing & (before.held > 0)
+    start = before.q + jnp.where(back, q - predicted, 0.0)
+    qd = surface.speed(gains.baseline.speed_weight, before.qd, qdd, start, q, config.dt)
+    half = before.half + config.dt * qdd
+    half = half + gains.baseline.speed_weight * ((q - start) / config.dt - half)
+    return Motion(q, qd, half, missing.astype(q.dtype))
+
+
+def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference, fault: Array) -> Pending:
+    """Command at (q, qd) [n, ...] rad, rad/s that follows the reference and compensates a torque ``fault`` [n, ...] N m."""
+    robot, at = config.robot, rigid_body.pose(config.robot, q)
+    qdd = reference.qdd + gains.baseline.kd * (reference.qd - qd) + gains.baseline.kp * (reference.q - q)
+    friction = dynamics.coulomb(robot, reference.qd)  # at the wanted speed, see cascade.py
+    tau = dynamics.nominal_torque(robot, at, qd, qdd) + friction - fault
+    return Pending(tau, qdd, pack(dynamics.nominal_mass(robot, at), q))
+
+
+def report(
+    config: Config,
+    pending: Pending,
+    q: Array,
+    qd: Array,
+    *,
+    threshold_tau: Array,
+    threshold_q: Array,
+    fault_tau: Array | None = None,
+    fault_q: Array | None = None,
+    verdict: Array | None = None,
+) -> Output:
+    """What a baseline says: estimates are residuals and statistics at once; where there is none it is zero."""
+    zero = jnp.zeros_like(q)
+    fault_tau, fault_q = (zero if fault is None else fault for fault in (fault_tau, fault_q))
+    verdict = jnp.zeros(q.shape, jnp.int32) if verdict is None else verdict
+    return Output(
+        tau=smooth.saturate(pending.tau, rigid_body.trailing_constant(config.robot.torque_limit, q)),
+        fault_tau_hat=fault_tau,
+        fault_q_hat=fault_q,
+        residual_tau=fault_tau,
+        residual_q=fault_q,
+        statistic_tau=fault_tau,
+        statistic_q=fault_q,
+        threshold_tau=jnp.broadcast_to(threshold_tau, q.shape),
+        threshold_q=jnp.broadcast_to(threshold_q, q.shape),
+        verdict=verdict,
+        detected=(verdict > 0).any(0),
+        suspect=zero,
+        q_hat=q,
+        qd_hat=qd,
+        s=zero,
+        alpha_online=jnp.ones_like(q),
+    )

@@ -1,0 +1,89 @@
+"""The door to the schemes: the paper's cascade, or one of the baselines that it is measured against.
+
+``init`` and ``step`` are what runs on a robot, whatever the scheme. What crosses the door is checked and made whole here, so
+that no scheme needs to. Every scheme's state has ``q`` [n, ...] rad, the angle that it takes the arm to be at, and
+``pending.tau`` [n, ...] N m, its last command before the limits.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+import jax.numpy as jnp
+
+from jaxftc import checks
+from jaxftc.config import Config
+from jaxftc.gains import Gains, align
+from jaxftc.gains import check as check_gains
+from jaxftc.numerics import smooth
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.schemes import cascade, computed_torque, ekf, momentum
+from jaxftc.stages import Stages
+from jaxftc.types import Array, Measurement, Output, Reference
+
+ROOMS: dict[str, ModuleType] = {
+    "cascade": cascade,
+    "momentum": momentum,
+    "ekf": ekf,
+    "computed_torque": computed_torque,
+}
+
+
+def init(config: Config, gains: Gains, q: Array) -> Any:
+    """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
+
+    Raises:
+        ValueError: q has the wrong shape or is not finite, or a gain is not allowed.
+    """
+    checks.joints_first("q", q, config.n)
+    checks.finite("q", q, "give the arm's measured angles in rad")
+    check_gains(config, gains)
+    q = jnp.asarray(q, gains.arx.xi_a.dtype)
+    return ROOMS[config.scheme].init(config, align(gains, q.ndim - 1), q)
+
+
+def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
+    """One controller tick: pure, and differentiable in everything but the verdict.
+
+    Raises:
+        ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``), or the state is
+            that of another scheme.
+    """
+    return tick(config, gains, state, reference, measurement, None)
+
+
+def tick(
+    config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
+) -> tuple[Any, Output]:
+    """``step``, with the cascade's stages given as data in place of the config's observer and control."""
+    room = ROOMS[config.scheme]
+    if not isinstance(state, room.State):
+        raise ValueError(
+            f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
+            f"{type(state).__name__}"
+        )
+    check_gains(config, gains)
+    reference, measurement = _signals(config, state.q, reference, measurement)
+    choice = {} if stages is None or config.scheme != "cascade" else {"stages": stages}
+    return room.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **choice)
+
+
+def holding_torque(config: Config, q: Array) -> Array:
+    """Command [n, ...] N m that holds the nominal arm at rest in q [n, ...] rad, within the limits."""
+    zero = jnp.zeros_like(q)
+    tau = dynamics.nominal_torque(config.robot, rigid_body.pose(config.robot, q), zero, zero)
+    return smooth.saturate(tau, rigid_body.trailing_constant(config.robot.torque_limit, q))
+
+
+def _signals(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
+    """Signals as arrays of the right shape; a joint whose reference is not finite is to hold the angle it is ``at``."""
+    q, qd, qdd = map(jnp.asarray, reference)
+    reading, tau = map(jnp.asarray, measurement)
+    names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
+    for name, signal in zip(names, (q, qd, qdd, reading, tau), strict=True):
+        checks.joints_first(name, signal, config.n)
+    checks.same_shape(["state.q", *names], [at, q, qd, qdd, reading, tau])
+    wanted = jnp.isfinite(q) & jnp.isfinite(qd) & jnp.isfinite(qdd)
+    held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
+    return held, Measurement(reading, tau)

@@ -1,0 +1,1 @@
+"""The closed loop: plant, faults, encoder noise and the tick, as one scan."""

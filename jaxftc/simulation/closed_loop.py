@@ -1,0 +1,220 @@
+"""The closed loop: plant, faults, encoder noise and ``step``, as one scan.
+
+The wall: the controller gets the reference, the reading and its own last command. Nothing else of the scenario reaches it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.ad_checkpoint import checkpoint_name
+from jax.core import Tracer
+
+from jaxftc import checks, stages
+from jaxftc.compile.xla import Kind, jit
+from jaxftc.config import Config
+from jaxftc.gains import Gains
+from jaxftc.gains import check as check_gains
+from jaxftc.numerics.batch import trailing
+from jaxftc.robot import dynamics, rigid_body
+from jaxftc.scenarios import reference
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.scenario import Scenario
+from jaxftc.schemes import registry
+from jaxftc.simulation import fault_injection, noise
+from jaxftc.types import Array, Measurement, Output
+
+
+class Trace(NamedTuple):
+    """A simulated run, time first."""
+
+    t: Array  # [T] s
+    q: Array  # [T, n, ...] rad, true angle
+    qd: Array  # [T, n, ...] rad/s, true speed
+    y: Array  # [T, n, ...] rad, encoder reading
+    q_ref: Array  # [T, n, ...] rad
+    tau_applied: Array  # [T, n, ...] N m, torque that reached the arm
+    fault_tau: Array  # [T, n, ...] N m, true actuator fault, at the motor (the plant's torque_constant comes after it)
+    fault_q: Array  # [T, n, ...] rad, true encoder fault
+    out: Output  # what the controller said, time first
+
+
+class Loop(NamedTuple):
+    """Carry of the closed loop."""
+
+    q: Array  # [n, ...] rad
+    qd: Array  # [n, ...] rad/s
+    tau: Array  # [n, ...] N m, last command
+    fault: fault_injection.State
+    controller: Any  # the scheme's state
+
+
+def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    """Run one scenario, or several side by side on trailing axes, for ``config.duration``.
+
+    Compiled with this library's options when called from Python, inlined under a caller's trace.
+
+    Raises:
+        ValueError: gains or scenario are of a wrong shape, not finite or outside their limits.
+    """
+    check(config, gains, scenario)
+    checks.random_key("key", key)
+    return _PROGRAMS[program_kind(config.engine, one_arm=jnp.ndim(scenario.id) == 0)](
+        stages.general(config), stages.as_data(config), gains, scenario, key
+    )
+
+
+def check(config: Config, gains: Gains, scenario: Scenario) -> None:
+    """Refuse what cannot be simulated, before anything compiles.
+
+    Raises:
+        ValueError: naming the leaf, what came and what is allowed.
+    """
+    checks.instance("config", config, Config)
+    checks.instance("gains", gains, Gains)
+    checks.instance("scenario", scenario, Scenario)
+    check_gains(config, gains)
+    scenario = jax.tree.map(jnp.asarray, scenario)
+    axes = scenario.id.shape
+    if scenario.q_start.shape[1:] != axes:
+        raise ValueError(
+            f"scenario.q_start has shape {list(scenario.q_start.shape)}, scenario.id {list(axes)}; "
+            "sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"
+        )
+    for path, leaf in jax.tree_util.tree_leaves_with_path(scenario):
+        name = "scenario" + jax.tree_util.keystr(path)
+        own = () if name in ("scenario.id", "scenario.noise", "scenario.plant.payload") else (config.n,)
+        if leaf.shape not in (own, own + axes):
+            raise ValueError(f"{name} must have shape {list(own)} or {list(own + axes)}, got {list(leaf.shape)}")
+        allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
+        if not isinstance(leaf, Tracer) and not allowed(np.asarray(leaf)).all():
+            raise ValueError(f"{name} must {rule}, got {np.asarray(leaf).tolist()}")
+
+
+def _positive(x: np.ndarray) -> np.ndarray:
+    return (x > 0) & np.isfinite(x)
+
+
+_ALLOWED = {  # leaves that may be more or less than any finite number
+    "clear": (lambda x: ~np.isnan(x), "be a number, infinite if the fault stays"),
+    "period": (lambda x: x > 0, "be positive, infinite if the fault is not intermittent"),
+    "duty": (lambda x: (x >= 0) & (x <= 1), "lie in [0, 1]"),
+    "kind": (lambda x: (x >= 0) & (x <= max(max(Actuator), max(Sensor))) & (x == np.round(x)), "be an Actuator or a Sensor"),
+    "noise": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "payload": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "mass": (_positive, "be positive and finite"),
+    "armature": (_positive, "be positive and finite"),
+}
+
+
+def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
+    """Everything at rest in q_start, the arm held against gravity."""
+    dtype = gains.arx.xi_a.dtype
+    q = jnp.asarray(scenario.q_start, dtype)
+    tau = registry.holding_torque(config, q)
+    return Loop(q, jnp.zeros_like(q), tau, fault_injection.State(tau, q), registry.init(config, gains, q))
+
+
+def advance(
+    config: Config,
+    gains: Gains,
+    scenario: Scenario,
+    loop: Loop,
+    t: Array,
+    reading_error: Array,
+    on: stages.Stages | None = None,
+) -> tuple[Loop, Trace]:
+    """One tick of plant, faults and controller at t s; reading_error [n, ...] rad is the encoder's noise."""
+    axes, robot = loop.q.ndim - 1, config.robot
+    fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
+    fault, y, angle_fault = fault_injection.read(fault_q, loop.fault, t, loop.q, reading_error)
+    desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
+    state, out = registry.tick(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
+    limit = rigid_body.trailing_constant(robot.torque_limit, loop.q)
+    constant = trailing(scenario.plant.torque_constant, 1, axes)
+    fault, delivered = fault_injection.deliver(fault_tau, fault, t, out.tau, limit)
+    q, qd = dynamics.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, constant * delivered, config.dt)
+    trace = Trace(
+        t=t,
+        q=loop.q,
+        qd=loop.qd,
+        y=y,
+        q_ref=desired.q,
+        tau_applied=constant * delivered,
+        fault_tau=delivered - out.tau,
+        fault_q=angle_fault,
+        out=out,
+    )
+    return Loop(q, qd, out.tau, fault, state), trace
+
+
+def encoder_noise(config: Config, scenario: Scenario, key: Array) -> Array:
+    """Noise [T, n, ...] rad of a whole run, as the loop draws it tick by tick."""
+    stream = noise.streams(key, scenario.id)
+    draws = jax.vmap(lambda k: noise.normal(stream, k, config.n))(jnp.arange(config.ticks))
+    return draws * scenario.noise
+
+
+def watch(
+    config: Config,
+    gains: Gains,
+    scenario: Scenario,
+    key: Array,
+    seen: Any,
+    look: Callable[[Any, Trace], tuple[Any, Any]],
+    on: stages.Stages | None = None,
+) -> tuple[Any, Any]:
+    """Run the loop while ``look(seen, tick) -> (seen, kept)`` sees every tick; the last ``seen``, and all ``kept`` stacked.
+
+    ``on`` says by data which stages of the cascade run: with it one program serves every observer and controller.
+    ``tick`` is a ``Trace`` of one moment, [n, ...]. To be traced: this is what ``simulate`` and scores are made of.
+    """
+    loop = start(config, gains, scenario)
+    dtype = loop.q.dtype
+    scenario = _cast(scenario, dtype)
+    stream = noise.streams(key, scenario.id)
+
+    def body(carry: tuple[Loop, Any], k: Array) -> tuple[tuple[Loop, Any], Any]:
+        loop, seen = carry
+        drawn = checkpoint_name(scenario.noise * noise.normal(stream, k, config.n).astype(dtype), "noise")
+        loop, tick = advance(config, gains, scenario, loop, k.astype(dtype) * config.dt, drawn, on)
+        seen, kept = look(seen, tick)
+        return (loop, seen), kept
+
+    # A gradient keeps the carry of every tick and the noise, which is dear, and runs the rest of the tick again.
+    body = jax.checkpoint(body, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("noise"))
+    (_, seen), kept = jax.lax.scan(body, (loop, seen), jnp.arange(config.ticks))
+    return seen, kept
+
+
+def run_loop(config: Config, on: stages.Stages, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    """``simulate`` without its checks, to be traced; ``on`` says which stages of the cascade run."""
+    return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick), on)[1]
+
+
+def program_kind(engine: str, *, one_arm: bool = False) -> Kind:
+    """How a program of the closed loop is compiled."""
+    return "mjx" if engine == "mjx" else "one arm" if one_arm else "batch"
+
+
+def blank_trace() -> Trace:
+    """The structure of a trace, without numbers."""
+    out: Any = Output(*[0] * len(Output._fields))  # pyright: ignore[reportArgumentType]
+    return Trace(*[0] * (len(Trace._fields) - 1), out=out)  # pyright: ignore[reportArgumentType]
+
+
+_KINDS: tuple[Kind, ...] = ("batch", "one arm", "mjx")
+_PROGRAMS: dict[Kind, Any] = {kind: jit(run_loop, kind=kind, static_argnums=0) for kind in _KINDS}
+
+
+def _align(fault: Fault, axes: int) -> Fault:
+    return Fault(*(trailing(leaf, 1, axes) for leaf in fault))
+
+
+def _cast(scenario: Scenario, dtype: jnp.dtype) -> Scenario:
+    """Floats of the scenario in the controller's precision; integers stay."""
+    return jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, scenario)
