@@ -99,12 +99,12 @@ def assert_finite(tree):
         assert np.isfinite(np.asarray(leaf, float)).all(), jax.tree_util.keystr(path)
 
 
-def assert_close(tree, like, share=1e-2):
+def assert_close(tree, like, share=1e-2, floor=1e-6):
     """Equal but for rounding that the loop has carried on: a small share of what a signal reaches."""
     for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(tree), jax.tree.leaves(like), strict=True):
         a, b = np.asarray(a, float), np.asarray(b, float)
         reach = np.abs(b[np.isfinite(b)]).max(initial=0.0)
-        np.testing.assert_allclose(a, b, rtol=0, atol=share * reach + 1e-6, err_msg=jax.tree_util.keystr(path))
+        np.testing.assert_allclose(a, b, rtol=0, atol=share * reach + floor, err_msg=jax.tree_util.keystr(path))
 
 
 def test_the_rows_cover_every_value_of_every_axis():
@@ -211,4 +211,5 @@ def test_two_devices_give_what_one_gives(row, tmp_path):
             if name.startswith(("['rows']", "['calibrated']")):
                 np.testing.assert_array_equal(two[name], leaf, err_msg=name)
             elif not name.endswith("['seconds']"):
-                assert_close(two[name], leaf)
+                floor = 1e-4 if "['history']" in name else 1e-6  # terms and norms, unit-free, in float32
+                assert_close({name: two[name]}, {name: leaf}, floor=floor)
