@@ -41,7 +41,7 @@ class Config:
     sign: Literal["smooth", "hard"] = "smooth"  # tanh(x / eps), or the printed sgn
     alarm_ticks: int = 3  # ticks above threshold before a torque alarm; a jump alarms at once
     release_ticks: int = 10  # ticks below the release level before an alarm ends
-    kick_ticks: int = 60  # a torque alarm that ends sooner was a kick of the encoder, not a torque
+    transient_ticks: int = 60  # a torque alarm that ends sooner was a velocity transient of the reading, not a torque
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
@@ -63,7 +63,7 @@ class Config:
         checks.integer("order_b", self.order_b, 2, "a joint is a double integrator; 2 suits it at 1 kHz")
         checks.integer("alarm_ticks", self.alarm_ticks, 1, "1 alarms at once")
         checks.integer("release_ticks", self.release_ticks, 1, "1 releases at once")
-        checks.integer("kick_ticks", self.kick_ticks, 0, "0 switches the second look off")
+        checks.integer("transient_ticks", self.transient_ticks, 0, "0 switches the sensor check off")
 
     @property
     def n(self) -> int:

@@ -70,7 +70,7 @@ class ObserverGains:
     alpha_f1: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator rule, Eq. (9)
     alpha_f2: Array = _gain(
         "n", "1", 1.0, low=0.0, high=1.0
-    )  # consequent of the sensor rule: share of a jump booked as fault
+    )  # consequent of the sensor rule: share of a jump attributed to the encoder
     alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator-and-sensor rule, Eq. (9)
     leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0)  # l, forgetting of the fuzzy estimate per tick
     jump: Array = _gain("n", "rad", 1e-3, above=0.0)  # jump that is surely the encoder's; graded 1/2 at half of it

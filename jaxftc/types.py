@@ -1,6 +1,7 @@
 """Signals that cross a door, and the one contract that every block keeps.
 
-A block is a module with ``init(config, gains, ...) -> State`` and ``step(config, gains, state, *signals) -> (State, Info)``.
+A block is a module with ``init(config, gains, q) -> State`` and ``step(config, gains, state, inputs) -> (State, Info)``, its
+inputs one named tuple ``Inputs``.
 ``State`` is what the next tick needs, ``Info`` is what the next block or a plot needs. Every array is ``[n, ...]``: joints
 first, any trailing axes are scenarios. Units are rad, N m, s and kg throughout.
 """
@@ -36,6 +37,15 @@ class Measurement(NamedTuple):
     tau: Array  # [n, ...] N m, torque commanded in the last tick
 
 
+class SensorStatus(NamedTuple):
+    """What the sensor check holds of each reading; the observer hears of it one tick later."""
+
+    suspect: Array  # [n, ...] 1 where the reading is held to be wrong, for any of the reasons below or a steep drift
+    transient: Array  # [n, ...] 1 where a velocity transient was found
+    frozen: Array  # [n, ...] 1 where it is held to be frozen
+    noisy: Array  # [n, ...] 1 where it is held to be noisy
+
+
 class Output(NamedTuple):
     """What one tick of the controller says."""
 
@@ -50,7 +60,7 @@ class Output(NamedTuple):
     threshold_q: Array  # [n, ...] rad
     verdict: Array  # [n, ...] int32: 0 normal, 1 actuator, 2 sensor, 3 both, Eq. (18)
     detected: Array  # [...] bool, any joint not normal, Eq. (17)
-    suspect: Array  # [n, ...] 1 where the second look holds the reading to be wrong, else 0
+    suspect: Array  # [n, ...] 1 where the sensor check holds the reading to be wrong, else 0
     q_hat: Array  # [n, ...] rad, encoder reading less its estimated fault
     qd_hat: Array  # [n, ...] rad/s
     s: Array  # [n, ...] rad/s, sliding surface, Eq. (19)

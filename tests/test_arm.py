@@ -34,7 +34,7 @@ speeds = arrays(float, 6, elements=st.floats(-5, 5))
 
 @jax.jit
 def mass_matrix(q):
-    rows = dynamics.nominal_mass(jaxftc.puma560(), rigid_body.pose(jaxftc.puma560(), q))
+    rows = dynamics.nominal_mass(jaxftc.puma560(), rigid_body.pose(jaxftc.puma560(), q)).rows
     return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
 
 
@@ -207,7 +207,7 @@ def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
     lanes = rigid_body.lanes(qd), rigid_body.lanes(qdd)
     forces = [np.asarray(rigid_body.newton_euler(robot, bodies, at, *lanes)) for bodies in (grouped, links)]
     np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-9)
-    matrices = [np.asarray(rigid_body.mass_matrix(robot, bodies, at)) for bodies in (grouped, links)]
+    matrices = [np.asarray(rigid_body.mass_matrix(robot, bodies, at).rows) for bodies in (grouped, links)]
     np.testing.assert_allclose(*matrices, rtol=1e-9, atol=1e-9)
 
 
@@ -219,7 +219,7 @@ def powers(q, qd, qdd):
     torque = jnp.stack(rigid_body.newton_euler(robot, links, at, rigid_body.lanes(qd), rigid_body.lanes(qdd), gravity=False))
 
     def energy(q, qd):
-        rows = rigid_body.mass_matrix(robot, links, rigid_body.pose(robot, q))
+        rows = rigid_body.mass_matrix(robot, links, rigid_body.pose(robot, q)).rows
         return 0.5 * sum(row[j] * qd[i] * qd[j] for i, row in enumerate(rows) for j in range(robot.n))
 
     return qd @ torque, jax.jvp(energy, (q, qd), (qd, qdd))[1]

@@ -80,7 +80,7 @@ def test_every_scheme_starts_by_holding_the_arm(config, scheme):
     config, q = of(config, scheme), jnp.linspace(-1.0, 1.0, N)
     held = jaxftc.inverse_dynamics(config.robot, q, 0 * q, 0 * q)
     state = jaxftc.init(config, jaxftc.default_gains(config), q)
-    np.testing.assert_allclose(state.pending.tau, held, atol=1e-12)
+    np.testing.assert_allclose(state.command.tau, held, atol=1e-12)
     np.testing.assert_allclose(registry.holding_torque(config, q), held, atol=1e-12)
     np.testing.assert_array_equal(state.q, q)
 
@@ -93,7 +93,7 @@ def test_a_tick_uses_no_gain_that_is_idle(scheme):
     state = jax.tree.map(lambda x: x + 1e-3 * jnp.ones_like(x), jaxftc.init(config, gains, q))
 
     def cost(gains):
-        told = jaxftc.Reference(q + 0.1, zero, zero), jaxftc.Measurement(q + 1e-3, state.pending.tau + 0.1)
+        told = jaxftc.Reference(q + 0.1, zero, zero), jaxftc.Measurement(q + 1e-3, state.command.tau + 0.1)
         leaves = jax.tree.leaves(jaxftc.step(config, gains, state, *told))
         return sum(
             (jnp.where(jnp.isfinite(leaf), leaf, 0.0) ** 2).sum() for leaf in leaves
@@ -117,8 +117,8 @@ def test_computed_torque_tracks_the_papers_motion(config):
     assert np.isinf(trace.out.threshold_tau).all() and np.isinf(trace.out.threshold_q).all()
 
 
-def matrix(lanes, q):
-    return jnp.stack([rigid_body.stack(row, q) for row in lanes])
+def matrix(mass, q):
+    return jnp.stack([rigid_body.stack(row, q) for row in mass.rows])
 
 
 # Momentum observer.
@@ -311,7 +311,7 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
     gains, q = jaxftc.default_gains(config), jnp.linspace(-1.0, 1.0, config.n)
     zero = jnp.zeros_like(q)
     state, tick = jaxftc.init(config, gains, q), jax.jit(jaxftc.step, static_argnums=0)
-    measurement = jaxftc.Measurement(q, state.pending.tau)
+    measurement = jaxftc.Measurement(q, state.command.tau)
     held = tick(config, gains, state, jaxftc.Reference(q, zero, zero), measurement)
     lost = tick(config, gains, state, jaxftc.Reference(q.at[2].set(jnp.nan), zero, zero), measurement)
     jax.tree.map(np.testing.assert_array_equal, lost, held)
@@ -321,11 +321,13 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
 
 
 def test_the_printed_super_twisting_is_the_papers(config):
-    gains = align(replaced(jaxftc.default_gains(config), observer_alpha_sm0=20.0), 0).observer
+    config = dataclasses.replace(config, sign="hard")
+    gains = align(replaced(jaxftc.default_gains(config), observer_alpha_sm0=20.0), 0)
     state, errors = super_twisting.State(jnp.zeros(N)), np.random.default_rng(3).normal(size=(5, N)) * 1e-3
     late = np.zeros(N)
     for e in errors:
-        state, psi = super_twisting.step_printed(gains, state, jnp.asarray(e), hard=True)
+        inputs = super_twisting.Inputs(jnp.asarray(e), jnp.zeros(N))
+        state, psi = super_twisting.step_printed(config, gains, state, inputs)
         np.testing.assert_allclose(psi, late, atol=1e-12)
         late = np.array([printed.psi_sm_eq7(x, 120.0, 20.0) for x in e])
 

@@ -15,8 +15,8 @@ import pytest
 import jaxftc
 from jaxftc import stages
 from jaxftc.config import SCHEMES
-from jaxftc.control import sliding_mode, surface
-from jaxftc.diagnosis import decision, statistics
+from jaxftc.control import sliding_mode
+from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
 from jaxftc.gains import align
 from jaxftc.observer import cascade, pi, super_twisting, takagi_sugeno
 from jaxftc.scenarios.faults import Sensor
@@ -30,111 +30,72 @@ N, ALL = three_hinges().n, tuple(range(6))  # joints: of the arm of the contract
 
 @dataclasses.dataclass(frozen=True)
 class Block:
-    """A block behind one signature; signals come in natural sizes, one array [n, ...] each."""
+    """A module that keeps the contract, and the natural sizes of what a tick takes in."""
 
     name: str
-    start: Callable[..., Any]  # (config, gains, q) -> state
-    tick: Callable[..., Any]  # (config, gains, state, *signals) -> (state, info)
-    sizes: tuple[float, ...]  # of the signals, in their units
-    change: tuple[tuple[str, str], ...] = ()  # what differs in the config
+    module: Any  # init(config, gains, q) -> State; step(config, gains, state, inputs) -> (State, Info)
+    sizes: Any  # inputs with a size for each signal, in its unit; 0 to 1 for a flag
+    change: tuple[tuple[str, Any], ...] = ()  # what differs in the config
 
     def config(self) -> jaxftc.Config:
         return jaxftc.Config(three_hinges(), engine="chain", **dict(self.change))
 
+    def init(self, gains, q):
+        return self.module.init(self.config(), align(gains, q.ndim - 1), q)
 
-def adapt_fuzzy(config, gains, state, e, strange, change, residual_tau):
-    del config
-    zero = jnp.zeros_like(e)
-    jump = takagi_sugeno.judge(gains.observer, strange, change, state.b, zero, zero)
-    return takagi_sugeno.step(gains.observer, state, e, jump, residual_tau, gains.diagnosis.alpha_tau), jump
-
-
-def observe(config, gains, state, y, u, expected, residual_tau):
-    no_doubt = cascade.Doubt(*[jnp.zeros_like(y)] * 4)
-    state = cascade.drive(gains, state, u)
-    on = stages.of(config)
-    state, seen = cascade.explain(config, gains, state, y, expected, no_doubt, on)
-    return cascade.adapt(gains, state, seen, residual_tau, on), seen
+    def step(self, gains, state, inputs):
+        axes = jax.tree.leaves(inputs)[0].ndim - 1
+        if self.module is sliding_mode:
+            inputs = inputs._replace(on=stages.of(self.config()))
+        return self.module.step(self.config(), align(gains, axes), state, inputs)
 
 
-def judge(config, gains, state, s_tau, s_q, y, h_s, qd_hat):
-    """The decision on a reading of which only these parts are looked at."""
-    never, zero = jnp.zeros(y.shape, bool), jnp.zeros_like(y)
-    jump = takagi_sugeno.Jump(h_s, jnp.sign(h_s), zero, zero)
-    seen = cascade.Innovation(y, y, zero, jump, zero, zero, y, zero, zero, never, never)
-    return decision.step(config, gains, state, s_tau, s_q, s_tau, seen, qd_hat)
+class Scheme:
+    """A scheme keeps the contract too; its inputs are a reference and a measurement."""
+
+    init = staticmethod(jaxftc.init)
+
+    @staticmethod
+    def step(config, gains, state, inputs):
+        return jaxftc.step(config, gains, state, *inputs)
 
 
-def track(config, gains, state, q, *reference):
-    """The surface; its state is the angle and the speed of the tick before."""
-    qd = surface.speed(gains.control.speed_weight, state[1], reference[2], state[0], q, config.dt)
-    return (q, qd), surface.surface(gains.control, q, qd, jaxftc.Reference(*reference))
+def scheme(name: str, **change: str) -> Block:
+    sizes = (jaxftc.Reference(1.0, 2.0, 10.0), jaxftc.Measurement(1.0, 50.0))
+    return Block(name, Scheme, sizes, tuple(change.items()))
 
 
-def command(config, gains, state, q, s, errord, psi, qdd_ref):
-    desired = jaxftc.Reference(q, q, qdd_ref)
-    on = stages.of(config)
-    return state, sliding_mode.law(config, gains.control, surface.Surface(s, errord, s), q, psi, desired, on)
+def pair(observer: str, control: str, **change: str) -> Block:
+    return scheme("-".join((observer, control, *change.values())), observer=observer, control=control, **change)
 
 
-def control_tick(config, gains, state, *signals):
-    return jaxftc.step(config, gains, state, jaxftc.Reference(*signals[:3]), jaxftc.Measurement(*signals[3:]))
-
-
-def controller_block(observer: str, control: str, **change: str) -> Block:
-    name = "-".join((observer, control, *change.values()))
-    choice = {"observer": observer, "control": control} | change
-    return Block(name, jaxftc.init, control_tick, (1.0, 2.0, 10.0, 1.0, 50.0), tuple(choice.items()))
-
-
+ESTIMATE = cascade.Estimate(
+    1.0, 1.0, 1e-3, takagi_sugeno.Jump(1.0, 1.0, 0.01, 0.01), 0.01, 0.02, 1.0, 0.02, 5.0, False, False
+)
 SMALL = [
-    Block(
-        "pi",
-        lambda config, gains, q: pi.State(jnp.zeros_like(q)),
-        lambda config, gains, state, e: pi.step(gains.observer, state, e),
-        (1e-3,),
-    ),
+    Block("pi", pi, pi.Inputs(1e-3)),
+    Block("super-twisting-smooth", super_twisting, super_twisting.Inputs(1e-3, 1.0)),
+    Block("super-twisting-hard", super_twisting, super_twisting.Inputs(1e-3, 1.0), (("sign", "hard"),)),
+    Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0)),
+    Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
+    Block("alarm", alarm, alarm.Inputs(3.0, 0.02)),
+    Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 3.0, ESTIMATE, 2.0)),
+    Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 3.0, ESTIMATE, 2.0)),
     *(
         Block(
-            f"super-twisting-{sign}",
-            lambda config, gains, q: super_twisting.State(jnp.zeros_like(q)),
-            lambda config, gains, state, e, h_s: super_twisting.step(
-                gains.observer, state, e, h_s, config.dt, hard=config.sign == "hard"
-            ),
-            (1e-3, 1.0),
-            (("sign", sign),),
+            f"sliding-mode-{control}",
+            sliding_mode,
+            sliding_mode.Inputs(1.0, 10.0, 0.01, 5.0, jaxftc.Reference(1.0, 2.0, 10.0), None),
+            (("control", control),),
         )
-        for sign in ("smooth", "hard")
-    ),
-    Block(
-        "adaptive",
-        lambda config, gains, q: takagi_sugeno.State(jnp.zeros_like(q), jnp.zeros_like(q)),
-        adapt_fuzzy,
-        (1e-3, 1e-3, 1e-3, 3.0),
-    ),
-    *(Block(f"cascade-{o}", cascade.init, observe, (1.0, 10.0, 10.0, 3.0), (("observer", o),)) for o in ("pi", "eso", "ts")),
-    Block(
-        "threshold",
-        lambda config, gains, q: statistics.init(q),
-        lambda config, gains, state, *residuals: statistics.step(gains.diagnosis, state, *residuals),
-        (3.0, 0.02),
-    ),
-    Block("decide", lambda config, gains, q: decision.init(q), judge, (3.0, 0.02, 1.0, 1.0, 2.0)),
-    Block("surface", lambda config, gains, q: (q, jnp.zeros_like(q)), track, (1.0, 1.0, 2.0, 10.0)),
-    *(
-        Block(f"law-{c}", lambda config, gains, q: (), command, (2.0, 1.0, 1.0, 5.0, 10.0), (("control", c),))
-        for c in ("smc", "esmc", "afesmc")
+        for control in ("smc", "esmc", "afesmc")
     ),
 ]
 OBSERVERS, CONTROLS = ("pi", "eso", "ts"), ("smc", "esmc", "afesmc")
-BASELINES = [
-    Block(scheme, jaxftc.init, control_tick, (1.0, 2.0, 10.0, 1.0, 50.0), (("scheme", scheme),))
-    for scheme in SCHEMES
-    if scheme != "cascade"
-]
-PAIRS = [controller_block(*pair) for pair in itertools.product(OBSERVERS, CONTROLS)]
+BASELINES = [scheme(name, scheme=name) for name in SCHEMES if name != "cascade"]
+PAIRS = [pair(*choice) for choice in itertools.product(OBSERVERS, CONTROLS)]
 VARIANTS = [
-    controller_block(observer, control, sign=sign, input=form)
+    pair(observer, control, sign=sign, input=form)
     for observer, control, sign, form in itertools.product(OBSERVERS, CONTROLS, ("smooth", "hard"), ("rigid_body", "torque"))
     if (sign, form) != ("smooth", "rigid_body")
 ]
@@ -143,9 +104,9 @@ FEW = [
     PAIRS[0],
     PAIRS[4],
     PAIRS[8],
-    controller_block("ts", "afesmc", sign="hard"),
-    controller_block("ts", "esmc", input="torque"),
-    controller_block("eso_printed", "esmc"),
+    pair("ts", "afesmc", sign="hard"),
+    pair("ts", "esmc", input="torque"),
+    pair("eso_printed", "esmc"),
     *BASELINES,
 ]
 REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for few in FEW}]
@@ -158,26 +119,25 @@ def each(*blocks: Block, slow: list[Block] = ()):
     )
 
 
-def draw(block: Block, axes: tuple[int, ...], ticks: int) -> list[tuple[jax.Array, ...]]:
-    """Signals of some ticks, spread over their natural sizes; for one arm or for scenarios on trailing axes."""
+def draw(block: Block, axes: tuple[int, ...], ticks: int) -> list[Any]:
+    """Inputs of some ticks, spread over their natural sizes; for one arm or for scenarios on trailing axes."""
     random = np.random.default_rng(7)
-    shape = (N, *axes)
-    return [tuple(jnp.asarray(random.uniform(-size, size, shape)) for size in block.sizes) for _ in range(ticks)]
+
+    def signal(size):
+        if isinstance(size, bool):
+            return jnp.asarray(random.uniform(size=(N, *axes)) < 0.2)
+        return jnp.asarray(random.uniform(-size, size, (N, *axes)))
+
+    return [jax.tree.map(signal, block.sizes) for _ in range(ticks)]
 
 
-@functools.cache
-def tick_of(block: Block) -> tuple[Callable[..., Any], jaxftc.Gains]:
-    """tick(gains, state, *signals) with the gains aligned, and the default gains."""
-    config = block.config()
-
-    def tick(gains, state, *signals):
-        return block.tick(config, align(gains, signals[0].ndim - 1), state, *signals)
-
-    return tick, jaxftc.default_gains(config)
+def start_of(inputs: Any) -> jax.Array:
+    """Angles [n, ...] rad to start from, of the inputs' shape."""
+    return next(leaf for leaf in jax.tree.leaves(inputs) if jnp.issubdtype(leaf.dtype, jnp.floating))
 
 
-def begin(block: Block, gains: jaxftc.Gains, q: jax.Array) -> Any:
-    return block.start(block.config(), align(gains, q.ndim - 1), q)
+def default_gains(block: Block) -> jaxftc.Gains:
+    return jaxftc.default_gains(block.config())
 
 
 def assert_close(one: Any, other: Any, tolerance: float = 1e-10) -> None:
@@ -200,11 +160,12 @@ def without_thresholds(info: Any) -> Any:
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64], ids=["single", "double"])
 def test_state_comes_out_as_it_went_in(block, axes, dtype):
     """Same tree, shapes and precision; every number of the info in the same precision too, scenarios on its last axes."""
-    tick, gains = tick_of(block)
-    gains = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), gains)
-    signals = [jax.ShapeDtypeStruct((N, *axes), dtype)] * len(block.sizes)
-    state = jax.eval_shape(functools.partial(begin, block), gains, signals[0])
-    after, info = jax.eval_shape(tick, gains, state, *signals)
+    gains = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, dtype), default_gains(block))
+    inputs = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype if leaf.dtype == bool else dtype), draw(block, axes, 1)[0]
+    )
+    state = jax.eval_shape(block.init, gains, start_of(inputs))
+    after, info = jax.eval_shape(block.step, gains, state, inputs)
     chex.assert_trees_all_equal_shapes_and_dtypes(after, state)
     for leaf in jax.tree.leaves((state, info)):
         assert leaf.dtype == dtype or not jnp.issubdtype(leaf.dtype, jnp.floating)
@@ -213,16 +174,16 @@ def test_state_comes_out_as_it_went_in(block, axes, dtype):
 
 @each(*SMALL, *PAIRS, *BASELINES, slow=VARIANTS)
 def test_one_trace_and_the_same_numbers_as_without_jit(block):
-    tick, gains = tick_of(block)
+    gains = default_gains(block)
     chex.clear_trace_counter()  # it takes functions with one source for the same
-    compiled = jax.jit(chex.assert_max_traces(tick, n=1))
-    signals = draw(block, (), 4)
-    state = plain = begin(block, gains, signals[0][0])
+    compiled = jax.jit(chex.assert_max_traces(block.step, n=1))
+    ticks = draw(block, (), 4)
+    state = plain = block.init(gains, start_of(ticks[0]))
     # Ranks agree in all arithmetic of one arm, but where every joint reads the inputs of all.
     with jax.numpy_rank_promotion("allow" if block.config().input == "torque" else "raise"):
-        for each_tick in signals:
-            state, info = compiled(gains, state, *each_tick)
-            plain, plain_info = tick(gains, plain, *each_tick)
+        for inputs in ticks:
+            state, info = compiled(gains, state, inputs)
+            plain, plain_info = block.step(gains, plain, inputs)
             assert_close((state, info), (plain, plain_info))
     chex.assert_tree_all_finite((state, without_thresholds(info)))
 
@@ -232,39 +193,44 @@ QUICK = [few for few in FEW if few.name != "ekf"]  # the filter's gradient and i
 
 @each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])
 def test_trailing_axes_are_vmap_are_a_loop(block):
-    tick, gains = tick_of(block)
-    tick = jax.jit(tick)
-    mapped = jax.jit(jax.vmap(tick, in_axes=(None, -1, *[-1] * len(block.sizes)), out_axes=-1))
-    signals = draw(block, (5,), 3)
-    start = begin(block, gains, signals[0][0])
+    gains, step = default_gains(block), jax.jit(block.step)
+    mapped = jax.jit(jax.vmap(block.step, in_axes=(None, -1, -1), out_axes=-1))
+    ticks = draw(block, (5,), 3)
+    start = block.init(gains, start_of(ticks[0]))
     together, by_map = start, start
     alone = [jax.tree.map(lambda leaf, k=k: leaf[..., k], start) for k in range(5)]
-    for each_tick in signals:
-        together, info = tick(gains, together, *each_tick)
-        by_map, info_by_map = mapped(gains, by_map, *each_tick)
+    for inputs in ticks:
+        together, info = step(gains, together, inputs)
+        by_map, info_by_map = mapped(gains, by_map, inputs)
         assert_close((by_map, info_by_map), (together, info))
         for k in range(5):
-            alone[k], own = tick(gains, alone[k], *(signal[..., k] for signal in each_tick))
+            alone[k], own = step(gains, alone[k], jax.tree.map(lambda leaf, k=k: leaf[..., k], inputs))
             assert_close((alone[k], own), jax.tree.map(lambda leaf, k=k: leaf[..., k], (together, info)))
 
 
 @each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])
 def test_gradients_are_finite(block):
     """With respect to gains, state and every signal, after ticks that leave the state where it usually is."""
-    tick, gains = tick_of(block)
+    gains = default_gains(block)
     *before, last = draw(block, (), 3)
-    state = begin(block, gains, before[0][0])
-    for signals in before:
-        state, _ = tick(gains, state, *signals)
+    state = block.init(gains, start_of(before[0]))
+    for inputs in before:
+        state, _ = block.step(gains, state, inputs)
+    flags = jax.tree.map(lambda leaf: leaf if leaf.dtype == bool else None, last)
+    signals = jax.tree.map(lambda leaf: None if leaf.dtype == bool else leaf, last)
 
     def cost(gains, state, signals):
-        leaves = jax.tree.leaves(tick(gains, state, *signals))
+        inputs = jax.tree.map(
+            lambda flag, signal: signal if flag is None else flag, flags, signals, is_leaf=lambda leaf: leaf is None
+        )
+        leaves = jax.tree.leaves(block.step(gains, state, inputs))
         return sum((leaf**2).sum() for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating))
 
-    slopes = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, last)
+    slopes = jax.jit(jax.grad(cost, argnums=(0, 1, 2)))(gains, state, signals)
     chex.assert_tree_all_finite(slopes)
     moved = [bool(jnp.any(slope != 0)) for slope in jax.tree.leaves(slopes)]
-    assert any(moved), "a cost that depends on nothing tests nothing"
+    decides = block.module in (alarm, sensor_check, decision)  # comparisons: no gradient passes
+    assert any(moved) != decides, "a cost that depends on nothing tests nothing"
 
 
 def test_one_program_serves_every_condition(config):
@@ -319,7 +285,7 @@ def test_missing_readings_are_held_on_prediction(config, dropped, gap, joints):
 
 
 @pytest.mark.parametrize("gap", GAP)
-def test_no_jump_is_booked_when_readings_come_back(config, dropped, gap):
+def test_no_jump_is_attributed_when_readings_come_back(config, dropped, gap):
     """The arm is not its model, so that the prediction has drifted: that is not the encoder's fault."""
     trace = dropped(GAP[gap], ALL, payload=2.0)
     back = round(GAP[gap][1] / config.dt) + 1
@@ -341,7 +307,7 @@ def log(config) -> Log:
     gains, scenario = jaxftc.default_gains(config), jaxftc.paper_scenario("healthy", config)
     trace = jaxftc.simulate(config, gains, scenario, jax.random.key(5))
     desired = jax.vmap(lambda t: cubic(scenario.q_start, scenario.q_goal, config.t_final, t))(trace.t)
-    first = jaxftc.init(config, gains, scenario.q_start).pending.tau
+    first = jaxftc.init(config, gains, scenario.q_start).command.tau
     return Log(desired, jaxftc.Measurement(trace.y, jnp.vstack([first[None], trace.out.tau[:-1]])))
 
 
@@ -375,7 +341,7 @@ def test_what_is_not_finite_is_missing(config, log, missing):
 
 
 def test_a_known_encoder_fault_outlives_missing_readings(config, log):
-    """A bias booked before a gap is neither booked again nor lost when readings come back."""
+    """A bias attributed before a gap is neither attributed again nor lost when readings come back."""
     biased = altered(log, slice(10, None), q=log.measurement.q[10:] + 0.02)
     b = diagnose(config, jaxftc.default_gains(config), altered(biased, slice(30, 40), q=np.nan)).fault_q_hat
     np.testing.assert_allclose(b[9], 0, atol=1e-6)
@@ -404,7 +370,7 @@ def test_an_unknown_torque_counts_as_the_command_within_the_limits(config):
     gains, zero = jaxftc.default_gains(config), jnp.zeros(config.n)
     state = jaxftc.init(config, gains, zero)
     wild = jaxftc.Reference(zero, zero, zero + 1000.0)
-    state, out = jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, state.pending.tau))
+    state, out = jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, state.command.tau))
     np.testing.assert_array_equal(np.abs(out.tau), config.robot.torque_limit)
     known, unknown = (
         jaxftc.step(config, gains, state, wild, jaxftc.Measurement(zero, tau)) for tau in (out.tau, zero + jnp.nan)

@@ -98,12 +98,12 @@ def test_too_few_runs_are_refused_with_the_number_that_would_do():
 
 
 def test_alarms_that_no_threshold_prevents_are_told(puma):
-    noisy = peaks()._replace(spoke=np.arange(2000) < 100)
+    noisy = peaks()._replace(by_check=np.arange(2000) < 100)
     with pytest.raises(
         ValueError, match=r"100 of 2000 healthy runs raise an alarm that no threshold prevents .*observer.jump"
     ):
         thresholds(jaxftc.Config(puma), noisy, 0.02, 0.95)
-    thresholds(jaxftc.Config(puma), peaks()._replace(spoke=np.arange(2000) < 5), 0.02, 0.95)
+    thresholds(jaxftc.Config(puma), peaks()._replace(by_check=np.arange(2000) < 5), 0.02, 0.95)
 
 
 def test_faults_are_left_out(scenarios):

@@ -1,4 +1,4 @@
-"""Alarms, verdicts and the second look, on signals made for the purpose and in the closed loop."""
+"""Alarms, verdicts and the sensor check, on signals made for the purpose and in the closed loop."""
 
 import dataclasses
 
@@ -11,17 +11,18 @@ from hypothesis import strategies as st
 
 import jaxftc
 from jaxftc.diagnosis import decision
+from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.evaluation import metrics
-from jaxftc.observer.cascade import Innovation
+from jaxftc.observer.cascade import Estimate
 from jaxftc.observer.takagi_sugeno import Jump
 from jaxftc.scenarios.faults import Actuator, Sensor
 from jaxftc.scenarios.scenario import paper_scenario, stack, trail
 
 
 def blank(n):
-    """An innovation in which nothing happens."""
+    """An estimate in which nothing happens."""
     none, no = jnp.zeros(n), jnp.zeros(n, bool)
-    return Innovation(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no)
+    return Estimate(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no)
 
 
 def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
@@ -32,7 +33,7 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
     s_q, h_s = zero if s_q is None else s_q, zero if h_s is None else h_s
     y = np.cumsum(np.full((ticks, n), 1e-3), 0) if y is None else y
     seen = blank(n)
-    state, verdicts = decision.init(jnp.asarray(y[0]) - 1e-3), []
+    state, verdicts = decision.init(config, gains, jnp.asarray(y[0]) - 1e-3), []
     for k in range(ticks):
         now = seen._replace(
             y=jnp.asarray(y[k]),
@@ -40,17 +41,12 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
             absent=jnp.isnan(y[k]),
             missing=jnp.isnan(y[k]),
         )
-        state, verdict = _decide(
-            config,
-            gains,
-            state,
-            s_tau[k] * gains.diagnosis.alpha_tau,
-            s_q[k] * gains.diagnosis.alpha_q,
-            (s_tau if r_tau is None else r_tau)[k] * gains.diagnosis.alpha_tau,
-            now,
-            jnp.full(n, float(speed)),
-        )
-        verdicts.append(np.asarray(verdict))
+        own = gains.diagnosis
+        statistics = Statistics(s_tau[k] * own.alpha_tau, s_q[k] * own.alpha_q)
+        residual = (s_tau if r_tau is None else r_tau)[k] * own.alpha_tau
+        inputs = decision.Inputs(statistics, residual, now, jnp.full(n, float(speed)))
+        state, said = _decide(config, gains, state, inputs)
+        verdicts.append(np.asarray(said.verdict))
     return np.array(verdicts)
 
 
@@ -83,8 +79,8 @@ def pulse(ticks, start, stop, size=1.5, joint=0):
 
 def test_torque_alarm_needs_persistence_and_keeps_through_a_dip(two):
     s = pulse(200, 10, 150)
-    s[60:65, 0] = 0.1  # shorter than release_ticks, but later than a kick would be
-    two = dataclasses.replace(two, kick_ticks=0)
+    s[60:65, 0] = 0.1  # shorter than release_ticks, but later than a velocity transient would be
+    two = dataclasses.replace(two, transient_ticks=0)
     verdict = judge(two, s)
     assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.types.ACTUATOR
     assert (verdict[12:159, 0] == 1).all() and (verdict[160:, 0] == 0).all() and (verdict[:, 1] == 0).all()
@@ -106,24 +102,24 @@ def test_encoder_alarm_is_immediate_and_both_bits_make_both(two):
     assert verdict[5, 0] == jaxftc.types.SENSOR and (verdict[12:, 0] == jaxftc.types.BOTH).all()
 
 
-def test_a_statistic_ahead_of_its_residual_makes_no_kick(two):
-    """The lead overshoots where a torque sets in; what tells a kick is the residual without it."""
+def test_a_statistic_ahead_of_its_residual_makes_no_velocity_transient(two):
+    """The lead overshoots where a torque sets in; what tells a velocity transient is the residual without it."""
     residual = pulse(200, 10, 200, size=2.0)
     ahead = residual + pulse(200, 10, 20, size=8.0)
     assert (judge(two, ahead, r_tau=residual)[12:, 0] == 1).all()
     assert (judge(two, ahead)[45:, 0] == 2).all()
 
 
-def test_a_torque_that_vanishes_at_once_was_a_kick_of_the_encoder(two):
+def test_a_torque_that_vanishes_at_once_was_a_velocity_transient(two):
     verdict = judge(two, pulse(200, 10, 40, size=8.0))
     assert verdict[20, 0] == 1 and (verdict[45:, 0] == 2).all()
     longer = judge(two, pulse(200, 10, 100, size=8.0))
     assert longer[90, 0] == 1 and (longer[115:, 0] == 0).all()
-    off = judge(dataclasses.replace(two, kick_ticks=0), pulse(200, 10, 40, size=8.0))
+    off = judge(dataclasses.replace(two, transient_ticks=0), pulse(200, 10, 40, size=8.0))
     assert (off[60:, 0] == 0).all()
 
 
-def test_of_two_kicks_at_once_only_the_larger_counts(two):
+def test_of_two_velocity_transients_at_once_only_the_larger_counts(two):
     verdict = judge(two, pulse(200, 10, 40, size=8.0) + pulse(200, 10, 40, size=2.0, joint=1))
     assert (verdict[60:, 0] == 2).all() and (verdict[60:, 1] == 0).all()
 
@@ -144,7 +140,7 @@ def test_readings_that_do_not_come_are_a_sensor_fault_even_at_rest(two):
     assert (verdict[:44] == 0).all() and (verdict[44:, 0] == 2).all() and (verdict[:, 1] == 0).all()
 
 
-def test_a_kick_is_forgotten_when_all_has_been_quiet(two):
+def test_a_velocity_transient_is_forgotten_when_all_has_been_quiet(two):
     verdict = judge(two, pulse(700, 10, 40, size=8.0))
     assert (verdict[60:500, 0] == 2).all() and (verdict[560:, 0] == 0).all()
     again = judge(two, pulse(800, 10, 40, size=8.0) + pulse(800, 650, 800))
@@ -161,13 +157,14 @@ def test_many_jumps_are_noise(two):
 def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
     h = np.zeros((40, 2))
     h[10:40, 0], h[10:40, 1] = 1.0, np.resize([1.0, -1.0], 30)
-    gains, state = jaxftc.default_gains(two), decision.init(jnp.zeros(2))
+    gains, zero = jaxftc.default_gains(two), jnp.zeros(2)
+    state = decision.init(two, gains, zero)
     for k in range(40):
         jump = Jump(jnp.abs(h[k]), jnp.sign(h[k]), jnp.zeros(2), jnp.zeros(2))
         seen = blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump)
-        state, _ = _decide(two, gains, state, *[jnp.zeros(2)] * 3, seen, jnp.ones(2))
-    np.testing.assert_array_equal(state.doubt.noisy, [0, 1])
-    np.testing.assert_array_equal(state.doubt.suspect, [1, 1])
+        state, said = _decide(two, gains, state, decision.Inputs(Statistics(zero, zero), zero, seen, jnp.ones(2)))
+    np.testing.assert_array_equal(said.sensors.noisy, [0, 1])
+    np.testing.assert_array_equal(said.sensors.suspect, [1, 1])
 
 
 @given(st.lists(st.floats(-3, 3), min_size=30, max_size=60), st.floats(1.0, 3.0))

@@ -266,7 +266,7 @@ def test_slopes_of_a_tick_are_finite_at_its_kinks(sign, kink):
     q = zero + start.get(kink, 0.0)
     state = jaxftc.init(config, gains, q)
     reference = jaxftc.Reference(q, zero, zero)
-    measurement = jaxftc.Measurement(q, state.pending.tau)
+    measurement = jaxftc.Measurement(q, state.command.tau)
     if kink == "s at the end of its range":
         reference = reference._replace(q=q - gains.control.s_centres[-1] / gains.control.lam)
     elif kink == "torques at and beyond the limits":

@@ -34,7 +34,7 @@ def rigid(paper_arm):
 def torque(rigid):
     """Config and gains of an arm with the constant inertia it has in its zero position."""
     config, gains = rigid
-    rows = dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, jnp.zeros(config.n)))
+    rows = dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, jnp.zeros(config.n))).rows
     mass = np.array([[float(entry) for entry in row] for row in rows])
     kappa_b = jnp.asarray(np.linalg.inv(mass)[:, :, None] * np.asarray(gains.arx.kappa_b)[:, 0])
     arx_gains = dataclasses.replace(gains.arx, kappa_b=kappa_b)

@@ -292,7 +292,10 @@ def test_dynamics_refuse_wrong_shapes_and_engines(puma):
         ({"order_b": True}, "order_b must be an integer of at least 2, got True"),
         ({"alarm_ticks": 0}, "alarm_ticks must be an integer of at least 1, got 0; 1 alarms at once"),
         ({"release_ticks": 0}, "release_ticks must be an integer of at least 1, got 0; 1 releases at once"),
-        ({"kick_ticks": -1}, "kick_ticks must be an integer of at least 0, got -1; 0 switches the second look off"),
+        (
+            {"transient_ticks": -1},
+            "transient_ticks must be an integer of at least 0, got -1; 0 switches the sensor check off",
+        ),
     ],
     ids=str,
 )

@@ -20,12 +20,13 @@ from twins import threshold as twin_threshold
 import jaxftc
 from jaxftc import stages
 from jaxftc.control import fuzzy_gain, sliding_mode, surface
-from jaxftc.diagnosis import statistics
+from jaxftc.diagnosis import sensor_check, statistics
 from jaxftc.fuzzy import rule_table
 from jaxftc.gains import align
 from jaxftc.observer import arx, cascade, laguerre, stability
 from jaxftc.scenarios import reference
 from jaxftc.types import Reference
+from tests.arms import three_hinges
 
 POLES = st.floats(-0.95, 0.95)
 DT = 1e-3
@@ -97,7 +98,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     zero = np.zeros(6)
     mine = {"b": zero, "e_prev": zero, "psi_pi": zero, "g": zero, "psi_f": zero}
     history = (q0, q0, zero)
-    believed, on = cascade.Doubt(*[jnp.zeros(6)] * 4), stages.of(config)
+    sensors, on = sensor_check.nothing_found(jnp.zeros(6)), stages.of(config)
     for k in range(60):
         y = (
             q0
@@ -115,14 +116,15 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
             centres_jump=o.jump_centres, widths_jump=o.jump_widths, observer=observer, eps=None if hard else o.eps[0],
             history=history,
         )  # fmt: skip
-        state, seen = cascade.explain(config, gains, state, jnp.asarray(y), jnp.asarray(history[2]), believed, on)
+        reading = cascade.Reading(jnp.asarray(y), jnp.asarray(history[2]), sensors)
+        state, seen = cascade.correct(config, gains, state, reading, on)
         residual = mass @ np.asarray(seen.psi)
-        state = cascade.adapt(gains, state, seen, jnp.asarray(residual), on)
-        state = cascade.drive(gains, state, jnp.asarray(v) + seen.psi)
+        state = cascade.adapt(config, gains, state, seen, jnp.asarray(residual), on)
+        state = cascade.apply_input(gains, state, jnp.asarray(v) + seen.psi)
         close = {
             "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual,
             "b_next": seen.b, "h_s": seen.jump.h_s, "psi_pi_next": state.pi.psi, "g_next": state.sliding.gamma,
-            "psi_f_next": state.adaptive.psi, "x_next": jnp.concatenate([state.arx.x_a, state.arx.x_b], axis=1),
+            "psi_f_next": state.fuzzy.psi, "x_next": jnp.concatenate([state.arx.x_a, state.arx.x_b], axis=1),
         }  # fmt: skip
         for name, value in close.items():
             np.testing.assert_allclose(value, want[name], rtol=1e-7, atol=1e-9, err_msg=f"{name} at tick {k}")
@@ -150,11 +152,12 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     st.floats(0.01, 1),
 )
 def test_statistic_is_the_twin(r, z, w, leak):
+    config = jaxftc.Config(three_hinges(), engine="chain")
     values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
-    gains = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
-    state, (s_tau, s_q) = statistics.step(
-        gains, statistics.State(jnp.asarray(z), jnp.zeros(3)), jnp.asarray(r), jnp.asarray(r)
-    )
+    own = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
+    gains = dataclasses.replace(jaxftc.default_gains(config), diagnosis=own)
+    start, inputs = statistics.State(jnp.asarray(z), jnp.zeros(3)), statistics.Inputs(jnp.asarray(r), jnp.asarray(r))
+    state, (s_tau, s_q) = statistics.step(config, gains, start, inputs)
     s, z_next = twin_threshold.statistic(r, z, w, leak)
     np.testing.assert_allclose(s_tau, s, atol=1e-12)
     np.testing.assert_allclose(state.z_tau, z_next, atol=1e-12)
@@ -231,14 +234,14 @@ def test_law_is_the_twin(control, paper_arm, rng):
     desired = Reference(*(jnp.asarray(rng.normal(size=6)) for _ in range(3)))
     q = y if control == "smc" else y - b
     at = surface.surface(gains, jnp.asarray(q), jnp.asarray(qd), desired)
-    command = sliding_mode.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired, stages.of(config))
+    qdd, factor = sliding_mode.law(config, gains, at, jnp.asarray(q), jnp.asarray(psi), desired, stages.of(config))
     mass, bias = np.eye(6), np.zeros(6)
     want = twin_control.law(
         control, y, b, qd, *(np.asarray(r) for r in desired), psi, mass, bias, bias, lam=gains.lam, a_sm=gains.alpha_sm,
-        a_sm2=gains.alpha_sm2, k_b=gains.k_b, alpha_online=np.asarray(command.alpha_online), eps=gains.eps,
+        a_sm2=gains.alpha_sm2, k_b=gains.k_b, alpha_online=np.asarray(factor), eps=gains.eps,
     )  # fmt: skip
     np.testing.assert_allclose(at.s, want["s"], rtol=1e-12)
-    np.testing.assert_allclose(command.qdd, want["bracket"], rtol=1e-12)
+    np.testing.assert_allclose(qdd, want["bracket"], rtol=1e-12)
 
 
 def test_reference_is_the_twin():
@@ -287,11 +290,12 @@ def test_zero_gains_leave_the_open_model(config):
         alpha_p=jnp.full(6, 1e-300),
     )
     gains = dataclasses.replace(gains, observer=o)
-    state, calm = cascade.init(config, gains, jnp.ones(6)), cascade.Doubt(*[jnp.zeros(6)] * 4)
+    state, on = cascade.init(config, gains, jnp.ones(6)), stages.of(config)
+    reading = cascade.Reading(jnp.full(6, 1.3), jnp.zeros(6), sensor_check.nothing_found(jnp.zeros(6)))
     for _ in range(5):
-        state, seen = cascade.explain(config, gains, state, jnp.full(6, 1.3), jnp.zeros(6), calm, stages.of(config))
-        state = cascade.adapt(gains, state, seen, jnp.zeros(6), stages.of(config))
-        state = cascade.drive(gains, state, seen.psi)
+        state, seen = cascade.correct(config, gains, state, reading, on)
+        state = cascade.adapt(config, gains, state, seen, jnp.zeros(6), on)
+        state = cascade.apply_input(gains, state, seen.psi)
         np.testing.assert_allclose(seen.y_hat, 1.0, atol=1e-9)
         np.testing.assert_array_equal(seen.psi, 0.0)
 

@@ -63,7 +63,7 @@ def with_fault(scenario: jaxftc.Scenario, channel: str, kind: int, size: float, 
 def told(config, scenario: jaxftc.Scenario, gains, trace: jaxftc.Trace) -> tuple[jaxftc.Reference, jaxftc.Measurement]:
     """All that crossed the wall in a run: reference, reading and last command, [T, n]."""
     reference = jax.vmap(lambda t: cubic(scenario.q_start, scenario.q_goal, config.t_final, t))(trace.t)
-    first = np.asarray(jaxftc.init(config, gains, scenario.q_start).pending.tau)
+    first = np.asarray(jaxftc.init(config, gains, scenario.q_start).command.tau)
     limit = config.robot.torque_limit
     return reference, jaxftc.Measurement(trace.y, np.vstack([np.clip(first, -limit, limit), trace.out.tau[:-1]]))
 

@@ -2,7 +2,7 @@
 
 A term takes a ``Run`` and returns [...], one value a scenario, small when all is well. Alarms are graded instead of
 decided, so that every term has a gradient: the grade is the logistic function of how far a statistic is above its
-threshold. Verdicts themselves carry no gradient; what the second look held of a reading (``out.suspect``) enters as data.
+threshold. Verdicts themselves carry no gradient; what the sensor check held of a reading (``out.suspect``) enters as data.
 """
 
 from __future__ import annotations

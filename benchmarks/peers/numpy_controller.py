@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.peers.numpy_observer import Observer, Seen
 from jaxftc.config import Config
-from jaxftc.diagnosis import decision
+from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.fuzzy.rule_table import TABLES
 from jaxftc.gains import Gains
 
@@ -44,8 +44,8 @@ class Controller:
         self.psi, self.q, self.qd, self.qdd, self.z_tau, self.z_q = zero, q, zero, zero, zero, zero
         self.tau = self._dynamics(q, zero, zero)
         self.verdict = np.zeros(n, int)
-        self.tau_on, self.q_on, self.kicked, self.frozen, self.noisy, self.suspect = np.zeros((6, n), bool)
-        self.tau_run, self.q_run, self.age, self.peak, self.quiet, self.jumps, self.lean, self.equal = np.zeros((8, n))
+        self.tau_on, self.q_on, self.transient, self.frozen, self.noisy, self.suspect = np.zeros((6, n), bool)
+        self.tau_run, self.q_run, self.age, self.peak, self.quiet, self.jumps, self.signed, self.equal = np.zeros((8, n))
         self.last, self.speed = q, zero
 
     def step(self, q_ref: Array, qd_ref: Array, qdd_ref: Array, reading: Array, tau: Array) -> Array:
@@ -54,12 +54,12 @@ class Controller:
         qdd = self.qdd
         if (tau != self.tau).any():  # the limits cut it
             qdd = qdd + np.linalg.solve(self.mass, tau - self.tau)
-        believed = qdd + self.psi
-        seen = self.observer.explain(reading, believed, self.kicked, self.frozen, self.noisy)
+        qdd_hat = qdd + self.psi
+        seen = self.observer.explain(reading, qdd_hat, self.transient, self.frozen, self.noisy)
         q = self.observer.q1
 
-        measured = (q - self.q - seen.shift) / dt + 0.5 * dt * believed
-        predicted = self.qd + dt * believed
+        measured = (q - self.q - seen.shift) / dt + 0.5 * dt * qdd_hat
+        predicted = self.qd + dt * qdd_hat
         qd = predicted + c.speed_weight * (measured - predicted)
         errord = qd - qd_ref
         s = c.lam * (q - q_ref) + errord  # Eq. (19)
@@ -101,7 +101,7 @@ class Controller:
         return (shares[0] * (self.levels @ shares[1])).sum(0)
 
     def _decide(self, s_tau: Array, s_q: Array, r_tau: Array, seen: Seen, qd: Array) -> None:
-        """Alarms, second look and verdict, Eqs. (17), (18)."""
+        """Alarms, sensor check and verdict, Eqs. (17), (18)."""
         config, level = self.config, self.gains.diagnosis
         was_on = self.tau_on
         self.tau_on, self.tau_run = _alarm(s_tau, level.alpha_tau, was_on, self.tau_run, config.alarm_ticks, config)
@@ -109,27 +109,27 @@ class Controller:
         alarmed, size = was_on | self.tau_on, np.abs(r_tau)
         self.age = np.where(alarmed, self.age + 1, 0.0)
         self.peak = np.where(alarmed, np.maximum(self.peak, size), 0.0)
-        fallen = ~self.tau_on | (size < decision.KICK * self.peak)
+        fallen = ~self.tau_on | (size < sensor_check.FALLEN * self.peak)
         excess = self.peak / level.alpha_tau
-        kick = was_on & (self.age < config.kick_ticks) & fallen & (excess >= excess.max())
+        kick = was_on & (self.age < config.transient_ticks) & fallen & (excess >= excess.max())
         self.quiet = np.where(self.tau_on | self.q_on, 0.0, self.quiet + 1)
-        self.kicked = kick | (self.kicked & (self.quiet < decision.KICK_MEMORY))
-        self.jumps = decision.JUMP_MEMORY * self.jumps + seen.h_s
-        self.lean = decision.JUMP_MEMORY * self.lean + seen.h_s * seen.side
+        self.transient = kick | (self.transient & (self.quiet < sensor_check.TRANSIENT_MEMORY))
+        self.jumps = sensor_check.JUMP_MEMORY * self.jumps + seen.h_s
+        self.signed = sensor_check.JUMP_MEMORY * self.signed + seen.h_s * seen.side
         unchanged = seen.missing | (seen.y == self.last)
         self.equal = np.where(unchanged, self.equal + 1, 0.0)
         self.speed, self.last = np.where(unchanged, self.speed, qd), seen.y
         moved = self.equal * config.dt * np.abs(self.speed) > self.gains.observer.jump
-        self.frozen = (self.equal >= decision.FROZEN_READINGS) & (moved | seen.absent)
-        many = self.jumps >= decision.MANY_JUMPS
-        self.noisy = many & (np.abs(self.lean) < 0.5 * self.jumps)
-        self.suspect = self.frozen | many | self.kicked
+        self.frozen = (self.equal >= sensor_check.FROZEN_READINGS) & (moved | seen.absent)
+        many = self.jumps >= sensor_check.MANY_JUMPS
+        self.noisy = many & (np.abs(self.signed) < 0.5 * self.jumps)
+        self.suspect = self.frozen | many | self.transient
         self.verdict = (self.tau_on & ~self.suspect) + 2 * (self.q_on | self.suspect)
 
 
 def _alarm(s: Array, alpha: Array, on: Array, run: Array, rise: int, config: Config) -> tuple[Array, Array]:
     """Two-level switch with persistence."""
     size = np.abs(s)
-    run = np.where(np.where(on, size < decision.RELEASE * alpha, size >= alpha), run + 1, 0.0)
+    run = np.where(np.where(on, size < alarm.RELEASE * alpha, size >= alpha), run + 1, 0.0)
     flips = run >= np.where(on, config.release_ticks, rise)
     return on ^ flips, np.where(flips, 0.0, run)

@@ -48,10 +48,10 @@ class Observer:
         self.q1, self.q2, self.reading = q, q, q
         self.held = np.zeros(len(q), bool)
 
-    def explain(self, reading: Array, believed: Array, kicked: Array, frozen: Array, noisy: Array) -> Seen:
-        """Innovation and fault estimates; ``believed`` is the acceleration of the last tick, the flags are doubts."""
+    def explain(self, reading: Array, qdd_hat: Array, transient: Array, frozen: Array, noisy: Array) -> Seen:
+        """Innovation and fault estimates; ``qdd_hat`` is the acceleration of the last tick, the flags are doubts."""
         g = self.gains
-        self.x_b = _advance(self.banks[1], self.x_b, believed)
+        self.x_b = _advance(self.banks[1], self.x_b, qdd_hat)
         y_hat = (self.arx.kappa_a * self.x_a).sum(1) + (self.kappa_b * self.x_b).sum(1) + self.arx.offset
         stuck = frozen & (reading == self.reading)
         absent = ~np.isfinite(reading)
@@ -61,10 +61,10 @@ class Observer:
         y = np.where(missing, y_hat + b, reading)
         e = y - b - y_hat
 
-        strange = np.where(missing | back, 0.0, y - b - 2 * self.q1 + self.q2 - self.dt**2 * believed)
-        h_s = share_at(np.abs(strange) / g.jump, g.jump_centres, g.jump_widths)
+        unexplained = np.where(missing | back, 0.0, y - b - 2 * self.q1 + self.q2 - self.dt**2 * qdd_hat)
+        h_s = share_at(np.abs(unexplained) / g.jump, g.jump_centres, g.jump_widths)
         size = h_s * (e - self.e)
-        book = ~(kicked | noisy) | (np.abs(b + size) < np.abs(b))
+        book = ~(transient | noisy) | (np.abs(b + size) < np.abs(b))
         moved = np.where(book, g.alpha_f2 * size, 0.0)
         shift = np.where(back, e, np.where(book | noisy, 0.0, size))
 
@@ -78,7 +78,7 @@ class Observer:
         self.b_fresh = np.where(~missing & (reading != self.reading), b, self.b_fresh)
         self.q1, self.q2, self.e, self.b, self.held = y - b, self.q1 + shift, e, b, missing
         self.reading = np.where(absent, self.reading, reading)
-        return Seen(y, y_hat, e, h_s, np.sign(strange), shift, psi, missing, absent)
+        return Seen(y, y_hat, e, h_s, np.sign(unexplained), shift, psi, missing, absent)
 
     def adapt(self, seen: Seen, residual_tau: Array) -> None:
         """The fuzzy stage learns from the torque residual, the angle's bank from the correction."""

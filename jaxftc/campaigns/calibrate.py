@@ -35,7 +35,7 @@ class Peaks(NamedTuple):
 
     tau: np.ndarray  # [n, runs] N m
     q: np.ndarray  # [n, runs] rad
-    spoke: np.ndarray  # [runs] bool, the second look raised an alarm: no threshold prevents that
+    by_check: np.ndarray  # [runs] bool, the sensor check raised an alarm: no threshold prevents that
 
 
 class Calibration(NamedTuple):
@@ -122,12 +122,12 @@ def _windows(config: Config, out: Output) -> Peaks:
     lasting = np.concatenate([np.zeros((config.alarm_ticks - 1, config.n)), lasting])
     angle, suspect = np.abs(np.asarray(out.statistic_q, float)), np.asarray(out.suspect) > 0
     ratio = np.maximum(lasting / np.asarray(out.threshold_tau), angle / np.asarray(out.threshold_q)).max(1)
-    recent = np.concatenate([np.zeros(config.kick_ticks), ratio])  # an alarm may call the second look, for so long
-    recent = np.stack([recent[k : k + len(ratio)] for k in range(config.kick_ticks + 1)]).max(0)
+    recent = np.concatenate([np.zeros(config.transient_ticks), ratio])  # an alarm may call the sensor check, for so long
+    recent = np.stack([recent[k : k + len(ratio)] for k in range(config.transient_ticks + 1)]).max(0)
     begins = suspect & ~np.concatenate([np.zeros_like(suspect[:1]), suspect[:-1]])
-    spoke = begins.any(1) & (recent < 1)
+    checked = begins.any(1) & (recent < 1)
     count = len(size) // config.ticks
-    cut = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, spoke[:, None])]
+    cut = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, checked[:, None])]
     return Peaks(cut[0], cut[1], cut[2][0] > 0)
 
 
@@ -138,7 +138,7 @@ def _settle(
     change, rounds, learned = math.inf, 0, 0
     while rounds < ROUNDS and change > SETTLED:
         found = peaks(gains, 0)
-        learned = len(found.spoke)
+        learned = len(found.by_check)
         before = [np.asarray(gains.diagnosis.alpha_tau, float), np.asarray(gains.diagnosis.alpha_q, float)]
         wanted = thresholds(config, found, false_alarms, confidence)
         if not found.q.any():
@@ -150,7 +150,7 @@ def _settle(
         gains, rounds = with_thresholds(gains, *wanted), rounds + 1
     fresh = peaks(gains, 1)
     levels = np.asarray(gains.diagnosis.alpha_tau)[:, None], np.asarray(gains.diagnosis.alpha_q)[:, None]
-    alarms = fresh.spoke | (fresh.tau >= levels[0]).any(0) | (fresh.q >= levels[1]).any(0)
+    alarms = fresh.by_check | (fresh.tau >= levels[0]).any(0) | (fresh.q >= levels[1]).any(0)
     reached = share(int(alarms.sum()), len(alarms))
     return Calibration(gains, false_alarms, confidence, learned, rounds, change <= SETTLED, len(alarms), reached)
 
@@ -184,20 +184,20 @@ def thresholds(config: Config, peaks: Peaks, false_alarms: float, confidence: fl
     """alpha_tau [n] N m and alpha_q [n] rad for these peaks.
 
     Raises:
-        ValueError: the second look alone raises more alarms than wanted.
+        ValueError: the sensor check alone raises more alarms than wanted.
     """
     runs = peaks.tau.shape[1]
     count = allowed(runs, false_alarms, confidence)
-    if peaks.spoke.sum() > count:
+    if peaks.by_check.sum() > count:
         raise ValueError(
-            f"{peaks.spoke.sum()} of {runs} healthy runs raise an alarm that no threshold prevents (frozen or noisy "
+            f"{peaks.by_check.sum()} of {runs} healthy runs raise an alarm that no threshold prevents (frozen or noisy "
             "readings, or a run that diverged); raise observer.jump, or look at such a run with jaxftc simulate"
         )
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     least = np.concatenate([LEAST_TAU * limit, np.full(config.n, LEAST_Q)])
     both = np.concatenate([peaks.tau, peaks.q])
-    shape = np.maximum(np.quantile(both[:, ~peaks.spoke], 1 - false_alarms / len(both), axis=1), least)
-    worst = np.where(peaks.spoke, np.inf, (both / shape[:, None]).max(0))
+    shape = np.maximum(np.quantile(both[:, ~peaks.by_check], 1 - false_alarms / len(both), axis=1), least)
+    worst = np.where(peaks.by_check, np.inf, (both / shape[:, None]).max(0))
     factor = np.nextafter(np.float32(np.sort(worst)[runs - 1 - count]), np.float32(np.inf))  # just above what may not alarm
     level = np.maximum(1.000001 * factor * shape, least)
     return [level[: config.n], level[config.n :]]

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc.gains import DiagnosisGains
+from jaxftc.config import Config
+from jaxftc.gains import Gains
 from jaxftc.types import Array
 
 
@@ -25,17 +26,36 @@ class State(NamedTuple):
     z_q: Array  # [n, ...] rad
 
 
-def init(q: Array) -> State:
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    tau: Array  # [n, ...] N m, residual of the torque channel
+    q: Array  # [n, ...] rad, of the encoder channel
+
+
+class Statistics(NamedTuple):
+    """S of both channels, to be held against alpha_tau and alpha_q."""
+
+    tau: Array  # [n, ...] N m
+    q: Array  # [n, ...] rad
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
     """No residual yet."""
+    del config, gains
     return State(jnp.zeros_like(q), jnp.zeros_like(q))
 
 
-def step(gains: DiagnosisGains, state: State, r_tau: Array, r_q: Array) -> tuple[State, tuple[Array, Array]]:
-    """Statistics S [n, ...] of both channels, N m and rad, to be held against alpha_tau and alpha_q."""
-    s_tau = gains.lam_tau * r_tau + (1 - gains.lam_tau) * state.z_tau  # Eq. (14), in one unit
-    s_q = gains.lam_q * r_q + (1 - gains.lam_q) * state.z_q
-    state_next = State(
-        z_tau=(1 - gains.leak_tau) * state.z_tau + gains.leak_tau * r_tau,
-        z_q=(1 - gains.leak_q) * state.z_q + gains.leak_q * r_q,
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Statistics]:
+    """S = w r + (1 - w) z, Eq. (14) in one unit, and the leaky means."""
+    del config
+    own, (r_tau, r_q) = gains.diagnosis, inputs
+    found = Statistics(
+        tau=own.lam_tau * r_tau + (1 - own.lam_tau) * state.z_tau,
+        q=own.lam_q * r_q + (1 - own.lam_q) * state.z_q,
     )
-    return state_next, (s_tau, s_q)
+    means = State(
+        z_tau=(1 - own.leak_tau) * state.z_tau + own.leak_tau * r_tau,
+        z_q=(1 - own.leak_q) * state.z_q + own.leak_q * r_q,
+    )
+    return means, found

@@ -63,7 +63,7 @@ class Score(NamedTuple):
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
     healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm
     healthy_q: Array  # [n, ...] rad
-    healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the second look spoke first
+    healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the sensor check alarmed first
     lost: Array  # bool, the arm diverged
 
 
@@ -132,8 +132,8 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
     lasting = history.min(0)
     ratio = jnp.maximum(lasting / out.threshold_tau, size_q / out.threshold_q).max(0)
     top = jnp.where((t >= true.onset) & (t - config.dt < true.onset), 0.0, state.top)
-    spoke = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be the alarm's own kick
-    ratio = jnp.where(spoke, jnp.inf, ratio)
+    by_check = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be that alarm's own
+    ratio = jnp.where(by_check, jnp.inf, ratio)
     levels = trailing(jnp.asarray(LEVELS, t.dtype), 1, ratio.ndim)
     return State(
         score=Score(

@@ -81,7 +81,7 @@ def confusion(rows: Table) -> np.ndarray:
 def roc(rows: Table) -> dict[str, Any]:
     """False alarms, detection and delay with all thresholds times a scale; the loop itself ran at scale 1.
 
-    The second look does not scale, and the fuzzy stage keeps the thresholds it ran with.
+    The sensor check does not scale, and the fuzzy stage keeps the thresholds it ran with.
     """
     kind = rows["kind"]
     healthy = rows["healthy_ratio"][kind == VERDICTS[NORMAL]]

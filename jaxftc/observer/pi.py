@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxftc.gains import ObserverGains
+import jax.numpy as jnp
+
+from jaxftc.config import Config
+from jaxftc.gains import Gains
 from jaxftc.types import Array
 
 
@@ -14,9 +17,22 @@ class State(NamedTuple):
     psi: Array  # [n, ...] rad/s^2
 
 
-def step(gains: ObserverGains, state: State, e: Array) -> tuple[State, Array]:
-    """psi_PI of this tick [n, ...] rad/s^2, and its state for the next; e [n, ...] rad is the innovation.
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    e: Array  # [n, ...] rad, innovation
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """No fault."""
+    del config, gains
+    return State(jnp.zeros_like(q))
+
+
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+    """psi_PI of this tick [n, ...] rad/s^2, and its state for the next.
 
     psi_PI+ = psi_PI + alpha_i e. Eq. (6) prints the total Psi on the right, which would integrate the other stages twice.
     """
-    return State(state.psi + gains.alpha_i * e), state.psi  # Eq. (6)
+    del config
+    return State(state.psi + gains.observer.alpha_i * inputs.e), state.psi  # Eq. (6)

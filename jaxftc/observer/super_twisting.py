@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxftc.gains import ObserverGains
+import jax.numpy as jnp
+
+from jaxftc.config import Config
+from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
 from jaxftc.types import Array
 
@@ -15,23 +18,37 @@ class State(NamedTuple):
     gamma: Array  # [n, ...] rad/s^2
 
 
-def step(gains: ObserverGains, state: State, e: Array, h_s: Array | float, dt: float, *, hard: bool) -> tuple[State, Array]:
-    """psi_SM of this tick [n, ...] rad/s^2; e [n, ...] rad, h_s [n, ...] the grade with which the innovation jumped.
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    e: Array  # [n, ...] rad, innovation
+    h_s: Array  # [n, ...] grade with which it jumped; the printed form does not look at it
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """No fault."""
+    del config, gains
+    return State(jnp.zeros_like(q))
+
+
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+    """psi_SM of this tick [n, ...] rad/s^2.
 
     psi_SM = alpha_SM |e|^1/2 sgn(e) (1 - h_s) + gamma, gamma+ = gamma + T alpha_SM0 sgn(e). Eq. (7) prints gamma as
     -alpha_SM0 sgn(e) itself, which is a relay. The finite-time proof of the super-twisting algorithm needs relative degree
     one, which an angle driven by an acceleration does not have: no such claim is made here.
     """
-    sgn = smooth.sign(e, gains.eps, hard=hard)
-    psi = gains.alpha_sm * smooth.magnitude_root(e) * sgn * (1 - h_s) + state.gamma  # Eq. (7), corrected
-    return State(state.gamma + dt * gains.alpha_sm0 * sgn), psi
+    e, h_s = inputs
+    sgn = smooth.sign(e, gains.observer.eps, hard=config.sign == "hard")
+    psi = gains.observer.alpha_sm * smooth.magnitude_root(e) * sgn * (1 - h_s) + state.gamma  # Eq. (7), corrected
+    return State(state.gamma + config.dt * gains.observer.alpha_sm0 * sgn), psi
 
 
-def step_printed(gains: ObserverGains, state: State, e: Array, *, hard: bool) -> tuple[State, Array]:
+def step_printed(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """psi_SM [n, ...] rad/s^2 as Eq. (7) prints it, for comparison; alpha_SM0 counts in rad/s^2 here.
 
     psi_SM+ = alpha_SM |e|^1/2 sgn(e) - gamma, gamma = -alpha_SM0 sgn(e): a relay, and a tick late.
     """
-    sgn = smooth.sign(e, gains.eps, hard=hard)
-    gamma = -gains.alpha_sm0 * sgn
-    return State(gains.alpha_sm * smooth.magnitude_root(e) * sgn - gamma), state.gamma  # Eq. (7), as printed
+    sgn = smooth.sign(inputs.e, gains.observer.eps, hard=config.sign == "hard")
+    gamma = -gains.observer.alpha_sm0 * sgn
+    return State(gains.observer.alpha_sm * smooth.magnitude_root(inputs.e) * sgn - gamma), state.gamma  # Eq. (7), as printed

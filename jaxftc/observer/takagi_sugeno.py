@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.config import Config
 from jaxftc.fuzzy import takagi_sugeno
-from jaxftc.gains import ObserverGains
-from jaxftc.types import Array
+from jaxftc.gains import Gains, ObserverGains
+from jaxftc.types import Array, SensorStatus
 
 
 class State(NamedTuple):
@@ -28,31 +29,48 @@ class Jump(NamedTuple):
 
     h_s: Array  # [n, ...] grade in 0..1: no torque can have done it
     side: Array  # [n, ...] -1, 0 or 1: down or up
-    moved: Array  # [n, ...] rad, booked as encoder fault
+    moved: Array  # [n, ...] rad, attributed to the encoder
     followed: Array  # [n, ...] rad, by which the model follows a reading that is already held to be wrong
 
 
-def judge(gains: ObserverGains, strange: Array, change: Array, b: Array, kicked: Array, noisy: Array) -> Jump:
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    e: Array  # [n, ...] rad, innovation left after the jump
+    h_s: Array  # [n, ...] grade with which it jumped
+    residual_tau: Array  # [n, ...] N m
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """No fault."""
+    del config, gains
+    return State(jnp.zeros_like(q), jnp.zeros_like(q))
+
+
+def classify_jump(gains: ObserverGains, unexplained: Array, change: Array, b: Array, sensors: SensorStatus) -> Jump:
     """Rules "sensor" and "both" on each reading.
 
-    ``strange`` [n, ...] rad is what no acceleration explains of the reading's second difference: it decides. ``change`` rad
-    is the change of the innovation, less noisy: it says how far. A reading whose speed is held to be wrong (``kicked`` 1)
-    may only bring b back towards zero, otherwise the model follows it: booking the end of a drift would leave its whole size
-    in b for ever. A reading held to be ``noisy`` is left to the innovation: booked, its jumps would make b a sum of noise,
-    and followed, they would leave the model's speed to itself.
+    ``unexplained`` [n, ...] rad is what no acceleration explains of the reading's second difference: it decides. ``change``
+    rad is the change of the innovation, less noisy: it says how far. A reading with a velocity transient may only bring b
+    back towards zero, otherwise the model follows it: attributing the end of a drift would leave its whole size in b for
+    ever. A noisy reading is left to the innovation: attributed, its jumps would make b a sum of noise, and followed, they
+    would leave the model's speed to itself.
     """
-    h_s = takagi_sugeno.jump_share(strange, gains.jump, gains.jump_centres, gains.jump_widths)
-    size = h_s * change
-    book = ((kicked == 0) & (noisy == 0)) | (jnp.abs(b + size) < jnp.abs(b))
-    follow = ~book & (noisy == 0)
-    return Jump(h_s, jnp.sign(strange), jnp.where(book, gains.alpha_f2 * size, 0.0), jnp.where(follow, size, 0.0))
+    h_s = takagi_sugeno.jump_share(unexplained, gains.jump, gains.jump_centres, gains.jump_widths)
+    size, noisy = h_s * change, sensors.noisy > 0
+    attributed = ((sensors.transient == 0) & ~noisy) | (jnp.abs(b + size) < jnp.abs(b))
+    follow = ~attributed & ~noisy
+    moved = jnp.where(attributed, gains.alpha_f2 * size, 0.0)
+    return Jump(h_s, jnp.sign(unexplained), moved, jnp.where(follow, size, 0.0))
 
 
-def step(gains: ObserverGains, state: State, e: Array, jump: Jump, residual_tau: Array, threshold_tau: Array) -> State:
-    """Psi_F of the next tick, from the innovation e [n, ...] rad left after the jump.
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+    """psi_F [n, ...] rad/s^2 of this tick; b has moved already, with its jump.
 
     psi_F+ = (1 - l) psi_F + (h_act alpha_F1 + h_both alpha_F3) e. Eq. (10) prints delta_fuzzy for psi_F on the right.
     """
-    h = takagi_sugeno.weights(residual_tau, threshold_tau, jump.h_s, gains.tau_centres, gains.tau_widths)
-    drive = (h.actuator * gains.alpha_f1 + h.both * gains.alpha_f3) * e  # Eq. (9)
-    return state._replace(psi=(1 - gains.leak) * state.psi + drive)  # b has moved already, with its jump
+    del config
+    own = gains.observer
+    h = takagi_sugeno.weights(inputs.residual_tau, gains.diagnosis.alpha_tau, inputs.h_s, own.tau_centres, own.tau_widths)
+    drive = (h.actuator * own.alpha_f1 + h.both * own.alpha_f3) * inputs.e  # Eq. (9)
+    return state._replace(psi=(1 - own.leak) * state.psi + drive), state.psi

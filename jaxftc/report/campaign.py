@@ -36,7 +36,7 @@ def campaign(
         "<h2>Detection delay</h2>",
         embed(delays(rows)),
         "<h2>Thresholds: false alarms against detection and delay</h2>",
-        "<p>All thresholds times a scale, read off the statistics of the same runs; the second look and the fuzzy stage "
+        "<p>All thresholds times a scale, read off the statistics of the same runs; the sensor check and the fuzzy stage "
         "keep the thresholds that they ran with.</p>",
         embed(trade_off({result["scheme"]: result})),
     ]

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.numerics.barrier import stack
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import mjx, rigid_body
 from jaxftc.robot.model import Robot
@@ -60,16 +59,14 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
     drive = tau - damping * qd - plant.coulomb * coulomb(robot, qd)
     if engine == "mjx":
         matrix, bias = mjx.mass_and_bias(robot, plant.mass, plant.payload, q, qd)
-        rows = [rigid_body.lanes(row) for row in rigid_body.lanes(matrix)]
+        mass = rigid_body.MassMatrix.of(matrix)
         drive = drive - bias
     else:
         at = rigid_body.pose(robot, q)
         inertias = rigid_body.scaled_inertias(robot, plant.mass, plant.payload)
-        rows = rigid_body.mass_matrix(robot, inertias, at)
+        mass = rigid_body.mass_matrix(robot, inertias, at)
         drive = drive - rigid_body.stack(rigid_body.newton_euler(robot, inertias, at, rigid_body.lanes(qd), None), drive)
-    for i, diagonal in enumerate(rigid_body.lanes(armature + dt * damping)):
-        rows[i][i] = rows[i][i] + diagonal
-    return stack(rigid_body.solve(rows, rigid_body.lanes(drive)))
+    return mass.plus_diagonal(rigid_body.lanes(armature + dt * damping)).solve(drive)
 
 
 def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:
@@ -105,12 +102,10 @@ def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> 
     return rigid_body.stack(links, motor) + motor
 
 
-def nominal_mass(robot: Robot, at: rigid_body.Pose) -> list[list[rigid_body.Lane]]:
-    """M(q) of the nominal arm, motor inertia included, as n x n lanes."""
-    matrix = rigid_body.mass_matrix(robot, rigid_body.nominal_inertias(robot), at)
-    for i in range(robot.n):
-        matrix[i][i] = matrix[i][i] + float(robot.armature[i])
-    return matrix
+def nominal_mass(robot: Robot, at: rigid_body.Pose) -> rigid_body.MassMatrix:
+    """M(q) of the nominal arm, motor inertia included."""
+    links = rigid_body.mass_matrix(robot, rigid_body.nominal_inertias(robot), at)
+    return links.plus_diagonal([float(armature) for armature in robot.armature])
 
 
 def _align(plant: Plant, axes: int) -> Plant:

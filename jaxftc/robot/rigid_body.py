@@ -8,6 +8,8 @@ adds. Friction and motor inertia are the door's business (dynamics.py).
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -211,8 +213,51 @@ def newton_euler(
     return torques[::-1]
 
 
-def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> list[list[Lane]]:
-    """M(q) of the links alone as n x n lanes, by composite inertias from the tool to the base."""
+@dataclasses.dataclass(frozen=True)
+class MassMatrix:
+    """M(q) [n, n] kg m^2, symmetric and positive definite; lives inside one tick, ``packed`` between two."""
+
+    rows: list[list[Lane]]
+
+    @classmethod
+    def of(cls, matrix: Array) -> MassMatrix:
+        """From an array [n, n, ...]."""
+        return cls([lanes(row) for row in lanes(matrix)])
+
+    @classmethod
+    def unpacked(cls, triangle: Array) -> MassMatrix:
+        """From its lower triangle [n (n + 1) / 2, ...], row after row."""
+        below, rows = iter(lanes(triangle)), []
+        for n in range(math.isqrt(2 * len(triangle))):
+            rows.append([next(below) for _ in range(n + 1)])
+        return cls([[rows[max(i, j)][min(i, j)] for j in range(len(rows))] for i in range(len(rows))])
+
+    def packed(self, like: Array) -> Array:
+        """Its lower triangle [n (n + 1) / 2, ...], each entry in the shape of ``like``'s [n, ...]."""
+        return stack([entry for i, row in enumerate(self.rows) for entry in row[: i + 1]], like)
+
+    def plus_diagonal(self, diagonal: Sequence[Lane]) -> MassMatrix:
+        """M + diag(n lanes)."""
+        return MassMatrix(
+            [[entry + diagonal[i] if i == j else entry for j, entry in enumerate(row)] for i, row in enumerate(self.rows)]
+        )
+
+    def diagonal(self, like: Array) -> Array:
+        """Its diagonal [n, ...]."""
+        return stack([row[i] for i, row in enumerate(self.rows)], like)
+
+    def matvec(self, qdd: Array) -> Array:
+        """M qdd [n, ...] N m."""
+        parts = lanes(qdd)
+        return join([sum(m * a for m, a in zip(row, parts, strict=True)) for row in self.rows])
+
+    def solve(self, tau: Array) -> Array:
+        """M^-1 tau [n, ...] rad/s^2; each row of tau may have axes of its own between joints and scenarios."""
+        return join(solve(self.rows, lanes(tau)))
+
+
+def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> MassMatrix:
+    """M(q) of the links alone, by composite inertias from the tool to the base."""
     n, at = robot.n, Pose(lanes(at.cos), lanes(at.sin))
     matrix: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     composite = _EMPTY
@@ -227,7 +272,7 @@ def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> list[list[La
             matrix[i][j - 1] = matrix[j - 1][i] = moment[2]
         if i:
             composite = _inertia_to_parent(robot, at, i, composite)
-    return matrix
+    return MassMatrix(matrix)
 
 
 def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.scipy.special import ndtri
 from pydantic import ConfigDict, Discriminator, Strict, Tag
 
-from jaxftc.scenarios.preset_error import Refusal, all_finite, finite
+from jaxftc.scenarios.preset_error import PresetError, all_finite, finite
 from jaxftc.types import Array
 
 Real = Annotated[float, Strict()]  # a number, neither a truth value nor a text
@@ -48,7 +48,7 @@ class Normal(Table):
     def __post_init__(self) -> None:
         all_finite("normal", self.normal)
         if len(self.normal) != 2 or self.normal[1] <= 0:
-            raise Refusal("normal", f"must be [mean, std] with std above zero, got {list(self.normal)}")
+            raise PresetError("normal", f"must be [mean, std] with std above zero, got {list(self.normal)}")
         if self.within is not None:
             _range("within", self.within)
 
@@ -62,7 +62,7 @@ class Choice(Table):
     def __post_init__(self) -> None:
         all_finite("choice", self.choice)
         if not self.choice:
-            raise Refusal("choice", "must hold at least one number, got []")
+            raise PresetError("choice", "must hold at least one number, got []")
 
 
 FORMS = {"uniform": Uniform, "normal": Normal, "choice": Choice}
@@ -133,11 +133,11 @@ def require(place: str, law: Law, low: float = -math.inf, high: float = math.inf
     """Refuse a law that is none, or that can draw a number outside low..high, with ``above`` also low itself.
 
     Raises:
-        Refusal: naming the place, what came and what is allowed.
+        PresetError: naming the place, what came and what is allowed.
     """
     if not isinstance(law, Uniform | Normal | Choice):
         if isinstance(law, bool) or not isinstance(law, numbers.Real):
-            raise Refusal(place, f"must be {WAYS}, got {law!r}")
+            raise PresetError(place, f"must be {WAYS}, got {law!r}")
         finite(place, law)
     least, most = extent(law)
     if least < low or (above and least <= low) or most > high:
@@ -147,14 +147,14 @@ def require(place: str, law: Law, low: float = -math.inf, high: float = math.inf
             rule = f"stay above {low:g}" if above else f"not fall below {low:g}"
         hint = "; give the normal law within = [low, high]" if isinstance(law, Normal) and law.within is None else ""
         drawn = " whatever is drawn" if isinstance(law, Uniform | Normal | Choice) else ""
-        raise Refusal(place, f"must {rule}{drawn}, got {as_text(law)}{hint}")
+        raise PresetError(place, f"must {rule}{drawn}, got {as_text(law)}{hint}")
 
 
 def require_number(place: str, value: float, low: float = -math.inf, high: float = math.inf, *, above: bool = False) -> None:
     """The same for a number that is not drawn.
 
     Raises:
-        Refusal: naming the place, what came and what is allowed.
+        PresetError: naming the place, what came and what is allowed.
     """
     finite(place, value)
     require(place, value, low, high, above=above)
@@ -171,6 +171,6 @@ def as_text(law: Law) -> str:
 def _range(place: str, values: tuple[float, ...]) -> None:
     all_finite(place, values)
     if len(values) != 2:
-        raise Refusal(place, f"must be [low, high], got {list(values)}")
+        raise PresetError(place, f"must be [low, high], got {list(values)}")
     if values[0] >= values[1]:
-        raise Refusal(place, f"low must be below high, got {list(values)}")
+        raise PresetError(place, f"low must be below high, got {list(values)}")

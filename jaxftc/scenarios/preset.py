@@ -1,7 +1,8 @@
 """``Preset``: the laws that scenarios are drawn from. Frozen and hashable: a static argument of ``jax.jit``.
 
 The fields are the keys of a preset file, with the file's units; ``presets/standard.toml`` explains each key, ``sample.py``
-turns degrees into rad. Every table checks itself, whether a file or Python made it, and raises ``Refusal``, a ValueError.
+turns degrees into rad. Every table checks itself, whether a file or Python made it, and raises ``PresetError``, which is a
+ValueError.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Annotated
 from pydantic import Strict
 
 from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
-from jaxftc.scenarios.preset_error import Refusal, is_integer
+from jaxftc.scenarios.preset_error import PresetError, is_integer
 from jaxftc.scenarios.preset_kinds import ActuatorFaults, AngleBias, SensorFaults, TorqueBias, kinds
 from jaxftc.scenarios.scenario import CONDITIONS, ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
 
@@ -36,7 +37,7 @@ class Shares(Table):
         total = math.fsum(shares.values())
         if abs(total - 1) > 1e-9:
             terms = " + ".join(f"{name} {share:g}" for name, share in shares.items())
-            raise Refusal("", f"must add up to 1, got {terms} = {total:.10g}")
+            raise PresetError("", f"must add up to 1, got {terms} = {total:.10g}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,15 +71,17 @@ class Joints(Table):
 
     def __post_init__(self) -> None:
         if not is_integer(self.at_once) or self.at_once < 1:
-            raise Refusal("at_once", f"must be at least 1, got {self.at_once!r}; shares.healthy is for runs without a fault")
+            raise PresetError(
+                "at_once", f"must be at least 1, got {self.at_once!r}; shares.healthy is for runs without a fault"
+            )
         if self.allowed is None:
             return
         if not isinstance(self.allowed, tuple) or not all(map(is_integer, self.allowed)):
-            raise Refusal("allowed", f"must be a tuple of integers, got {self.allowed!r}")
+            raise PresetError("allowed", f"must be a tuple of integers, got {self.allowed!r}")
         if min(self.allowed, default=0) < 1 or len(set(self.allowed)) < len(self.allowed):
-            raise Refusal("allowed", f"must be different joints, counted from 1, got {list(self.allowed)}")
+            raise PresetError("allowed", f"must be different joints, counted from 1, got {list(self.allowed)}")
         if self.at_once > len(self.allowed):
-            raise Refusal(
+            raise PresetError(
                 "at_once", f"must be at most {len(self.allowed)}, the number of allowed joints, got {self.at_once}"
             )
 
@@ -125,13 +128,13 @@ class Times(Table):
         if self.lasting_s is not None:
             require("lasting_s", self.lasting_s, 0.0)
         elif self.permanent < 1:
-            raise Refusal(
+            raise PresetError(
                 "lasting_s", f"missing; only with permanent = 1 no fault clears, got permanent = {self.permanent:g}"
             )
         slow = self.incipient.share if self.incipient else 0.0
         coming = self.intermittent.share if self.intermittent else 0.0
         if slow + coming > 1 + 1e-9:
-            raise Refusal("", f"incipient.share + intermittent.share must be at most 1, got {slow:g} + {coming:g}")
+            raise PresetError("", f"incipient.share + intermittent.share must be at most 1, got {slow:g} + {coming:g}")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,12 +177,14 @@ class Preset(Table):
         tables = {"shares": Shares, "motion": Motion, "times": Times, "actuator": ActuatorFaults, "sensor": SensorFaults}
         for name, table in (tables | {"encoder": Encoder, "joints": Joints, "plant": PlantLaws}).items():
             if not isinstance(getattr(self, name), table):
-                raise Refusal(name, f"must be {table.__name__}, got {getattr(self, name)!r}")
+                raise PresetError(name, f"must be {table.__name__}, got {getattr(self, name)!r}")
         shares = self.shares
         beside = "sensor" if self.sensor_in_both is None else "sensor_in_both"
         for name, share in (("actuator", shares.actuator + shares.both), ("sensor", shares.sensor), (beside, shares.both)):
             if share > 0 and not kinds(getattr(self, name)):
-                raise Refusal(name, f"no kind of fault, but {share:g} of all scenarios have one; add a table [{name}.bias]")
+                raise PresetError(
+                    name, f"no kind of fault, but {share:g} of all scenarios have one; add a table [{name}.bias]"
+                )
 
 
 PAPER_ACTUATOR = ActuatorFaults(bias=TorqueBias(size=PAPER_TORQUE, unit="N m"))
@@ -199,4 +204,4 @@ class Paper(Preset):
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             if getattr(self, field.name) != field.default:
-                raise Refusal(field.name, "the paper's conditions draw from no law; change one of another preset")
+                raise PresetError(field.name, "the paper's conditions draw from no law; change one of another preset")

@@ -7,7 +7,7 @@ import math
 import numbers
 
 
-class Refusal(ValueError):
+class PresetError(ValueError):
     """What is wrong with a value, and the dotted place of it below the table that was checked."""
 
     def __init__(self, place: str, reason: str) -> None:
@@ -25,19 +25,19 @@ def one_of_text(value: object, allowed: tuple[str, ...]) -> str:
 def one_of(place: str, value: object, allowed: tuple[str, ...]) -> None:
     """Refuse a text that is not on the list."""
     if value not in allowed:
-        raise Refusal(place, one_of_text(value, allowed))
+        raise PresetError(place, one_of_text(value, allowed))
 
 
 def finite(place: str, value: object) -> None:
     """Refuse anything but a finite number."""
     if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
-        raise Refusal(place, f"must be a finite number, got {value!r}")
+        raise PresetError(place, f"must be a finite number, got {value!r}")
 
 
 def all_finite(place: str, values: object) -> None:
     """Refuse anything but a tuple of finite numbers."""
     if not isinstance(values, tuple):
-        raise Refusal(place, f"must be a tuple of numbers, got {values!r}")
+        raise PresetError(place, f"must be a tuple of numbers, got {values!r}")
     for value in values:
         finite(place, value)
 

@@ -20,7 +20,7 @@ import pydantic
 from jaxftc import checks
 from jaxftc.scenarios.distributions import FORMS, WAYS
 from jaxftc.scenarios.preset import Paper, Preset
-from jaxftc.scenarios.preset_error import Refusal, one_of_text
+from jaxftc.scenarios.preset_error import PresetError, one_of_text
 from jaxftc.scenarios.presets import PRESET_NAMES
 
 Table = dict[str, Any]
@@ -120,13 +120,13 @@ def _line(error: Any) -> str:
     if error["loc"] and (error["loc"][-1] not in TAGS or error["type"] == "unexpected_keyword_argument"):
         path.append(error["loc"][-1])
     cause = error.get("ctx", {}).get("error")
-    if isinstance(cause, Refusal):
+    if isinstance(cause, PresetError):
         path += filter(None, [cause.place])
     place = ""
     for part in path:
         name = str(part) if re.fullmatch(r"[\w.-]+", str(part)) else repr(part)
         place += f"[{part}]" if isinstance(part, int) else f".{name}" if place else name
-    return f"{place}: {cause.reason if isinstance(cause, Refusal) else _reason(error)}"
+    return f"{place}: {cause.reason if isinstance(cause, PresetError) else _reason(error)}"
 
 
 def _reason(error: Any) -> str:

@@ -27,7 +27,7 @@ from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
 from jaxftc.scenarios.presets import PRESET_NAMES as PRESET_NAMES
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
-from jaxftc.scenarios.uniforms import Dice
+from jaxftc.scenarios.uniforms import UniformStream
 from jaxftc.types import Array
 
 DEG = math.radians(1.0)  # rad
@@ -97,21 +97,21 @@ _draw_all = jit(_draw_all, static_argnums=(0, 1))
 def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scenario:
     """One scenario from its own key."""
     n = config.n
-    dice = Dice(key, 27 + 9 * n)
-    condition = jnp.searchsorted(_bounds(preset), dice.number(), side="right")
-    q_start = paper_motion(config)[0] + dice(scaled(preset.motion.start_deg, DEG), (n,))
-    q_goal = q_start + dice(scaled(preset.motion.travel_deg, DEG), (n,))
-    law = _times(preset.times, dice)
-    torque = _actuator(preset.actuator, config, dice)
+    stream = UniformStream(key, 27 + 9 * n)
+    condition = jnp.searchsorted(_bounds(preset), stream.number(), side="right")
+    q_start = paper_motion(config)[0] + stream(scaled(preset.motion.start_deg, DEG), (n,))
+    q_goal = q_start + stream(scaled(preset.motion.travel_deg, DEG), (n,))
+    law = _times(preset.times, stream)
+    torque = _actuator(preset.actuator, config, stream)
     beside = preset.sensor if preset.sensor_in_both is None else preset.sensor_in_both
-    angles = _sensor(preset.sensor, dice), _sensor(beside, dice)
+    angles = _sensor(preset.sensor, stream), _sensor(beside, stream)
     angle = jnp.where(condition == 3, angles[1], angles[0])
-    choose = functools.partial(dice.joints, preset.joints.at_once, _allowed(preset, config), n)
+    choose = functools.partial(stream.joints, preset.joints.at_once, _allowed(preset, config), n)
     tau_joints, q_joints = choose(), choose()
     plant = preset.plant
-    mass, damping, coulomb = (dice(factor, (n,)) for factor in (plant.mass, plant.damping, plant.coulomb))
-    payload, noise = dice(plant.payload_kg), dice(preset.encoder.noise_rad)
-    armature, torque_constant = dice(plant.armature, (n,)), dice(plant.torque_constant, (n,))
+    mass, damping, coulomb = (stream(factor, (n,)) for factor in (plant.mass, plant.damping, plant.coulomb))
+    payload, noise = stream(plant.payload_kg), stream(preset.encoder.noise_rad)
+    armature, torque_constant = stream(plant.armature, (n,)), stream(plant.torque_constant, (n,))
     return Scenario(
         id=scenario_id,
         q_start=q_start,
@@ -136,10 +136,10 @@ def _bounds(preset: Preset) -> Array:
     return jnp.where(nothing_after, 1.0, jnp.cumsum(jnp.asarray(shares[:3])))  # a sum can end just below 1
 
 
-def _actuator(channel: ActuatorFaults, config: Config, dice: Dice) -> Array:
+def _actuator(channel: ActuatorFaults, config: Config, stream: UniformStream) -> Array:
     """(kind, magnitude [n]) of an actuator fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
-    kind, side = dice.kind(kinds(channel), Actuator), dice.side()
-    bias, loss, left = (_size(fault, side, dice) for fault in (channel.bias, channel.loss, channel.saturation))
+    kind, side = stream.kind(kinds(channel), Actuator), stream.side()
+    bias, loss, left = (_size(fault, side, stream) for fault in (channel.bias, channel.loss, channel.saturation))
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 0.0)
     unit = limit if channel.bias is not None and channel.bias.unit == "limit" else np.ones(config.n)
     size = jnp.select(
@@ -150,32 +150,32 @@ def _actuator(channel: ActuatorFaults, config: Config, dice: Dice) -> Array:
     return jnp.concatenate([kind[None].astype(float), size])
 
 
-def _sensor(channel: SensorFaults, dice: Dice) -> Array:
+def _sensor(channel: SensorFaults, stream: UniformStream) -> Array:
     """(kind, magnitude) of an encoder fault as one array [2]."""
-    kind, side = dice.kind(kinds(channel), Sensor), dice.side()
+    kind, side = stream.kind(kinds(channel), Sensor), stream.side()
     sized = {
         Sensor.BIAS: channel.bias,
         Sensor.DRIFT: channel.drift,
         Sensor.SCALE: channel.scale,
         Sensor.NOISE: channel.noise,
     }
-    sizes = [_size(fault, side, dice) for fault in sized.values()]
+    sizes = [_size(fault, side, stream) for fault in sized.values()]
     return jnp.stack([kind.astype(float), jnp.select([kind == k for k in sized], sizes, 0.0)])
 
 
-def _size(fault: Sized | None, side: Array, dice: Dice) -> Array:
+def _size(fault: Sized | None, side: Array, stream: UniformStream) -> Array:
     """The size of a kind of fault, in rad, rad/s, N m or 1; zero, from a number all the same, if it does not occur."""
-    size = dice(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
+    size = stream(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
     return side * size if isinstance(fault, Signed) and fault.sign == "random" else size
 
 
-def _times(times: Times, dice: Dice) -> dict[str, Array]:
+def _times(times: Times, stream: UniformStream) -> dict[str, Array]:
     """Onset, clearance, rise, period and duty of one scenario; both channels share them."""
     slow, coming = times.incipient, times.intermittent
-    onset = dice(times.onset_s)
-    stays, lasting = dice.number() < times.permanent, dice(0.0 if times.lasting_s is None else times.lasting_s)
-    u, rise = dice.number(), dice(slow.rise_s if slow else 0.0)
-    period, duty = dice(coming.period_s if coming else math.inf), dice(coming.duty if coming else 1.0)
+    onset = stream(times.onset_s)
+    stays, lasting = stream.number() < times.permanent, stream(0.0 if times.lasting_s is None else times.lasting_s)
+    u, rise = stream.number(), stream(slow.rise_s if slow else 0.0)
+    period, duty = stream(coming.period_s if coming else math.inf), stream(coming.duty if coming else 1.0)
     ramp = slow.share if slow else 0.0
     comes_and_goes = (u >= ramp) & (u < ramp + (coming.share if coming else 0.0))
     return {

@@ -14,7 +14,7 @@ from jaxftc.scenarios.preset_kinds import Kind
 from jaxftc.types import Array
 
 
-class Dice:
+class UniformStream:
     """Uniform numbers of one scenario, drawn at once (one random call compiles in a second, forty do not) and dealt out."""
 
     def __init__(self, key: Array, count: int) -> None:

@@ -1,7 +1,7 @@
 """One tick of the controller: the block diagram of Figures 1 and 8, and Algorithm 1 line by line.
 
 ``step`` is what runs on a robot. It knows no plant, no fault and no scenario: only the reference, the encoder reading and
-the torque that was commanded. What comes in has passed the door, ``schemes``.
+the torque that was commanded. What comes in has been checked by ``registry``.
 """
 
 from __future__ import annotations
@@ -11,16 +11,18 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc.config import Config
-from jaxftc.control import sliding_mode, surface
-from jaxftc.control.last_command import Pending, commanded, holding, pack, rows
-from jaxftc.diagnosis import decision, residuals, statistics
+from jaxftc.control import last_command, sliding_mode
+from jaxftc.control.last_command import LastCommand
+from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
 from jaxftc.observer import cascade
+from jaxftc.observer.cascade import Estimate
 from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot.rigid_body import MassMatrix
 from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
-from jaxftc.types import Array, Measurement, Output, Reference
+from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
 
 
 class State(NamedTuple):
@@ -29,16 +31,36 @@ class State(NamedTuple):
     observer: cascade.State
     statistics: statistics.State
     decision: decision.State
-    pending: Pending
+    control: sliding_mode.State
+    sensors: SensorStatus
+    command: LastCommand
     psi: Array  # [n, ...] rad/s^2, fault estimate of the last tick
-    q: Array  # [n, ...] rad, angle the speed was taken from
-    qd: Array  # [n, ...] rad/s
+
+    @property
+    def q(self) -> Array:
+        """Angle [n, ...] rad that the arm was taken to be at."""
+        return self.control.q
+
+
+class Applied(NamedTuple):
+    """What the last command did to the arm, Eqs. (2), (3)."""
+
+    u: Array  # [n, ...] input of the ARX model: rad/s^2, or N m for ``input="torque"``
+    qdd: Array  # [n, ...] rad/s^2, without the estimated fault
+    qdd_hat: Array  # [n, ...] rad/s^2, with it
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """Controller state at rest in q [n, ...] rad, holding the arm against gravity."""
-    zero, pending = jnp.zeros_like(q), holding(config.robot, q)
-    return State(cascade.init(config, gains, q), statistics.init(q), decision.init(q), pending, zero, q, zero)
+    return State(
+        observer=cascade.init(config, gains, q),
+        statistics=statistics.init(config, gains, q),
+        decision=decision.init(config, gains, q),
+        control=sliding_mode.init(config, gains, q),
+        sensors=sensor_check.nothing_found(q),
+        command=last_command.hold(config.robot, q),
+        psi=jnp.zeros_like(q),
+    )
 
 
 def step(
@@ -53,63 +75,105 @@ def step(
 
     ``stages`` are the config's unless they are given as data.
     """
-    robot = config.robot
     on = stages_of(config) if stages is None else stages
-
-    drive, qdd, believed = _commanded(config, state, measurement.tau)  # Eqs. (2), (3)
-    observer = cascade.drive(gains, state.observer, drive)  # line 1
-    observer, seen = cascade.explain(  # lines 2 to 4, 7
-        config, gains, observer, measurement.q, believed, state.decision.doubt, on
-    )
-    at = rigid_body.pose(robot, seen.q_hat)
-    mass = dynamics.nominal_mass(robot, at)
-    residual = residuals.generate(mass, seen.psi, seen.y, seen.y_hat)  # line 5
-    observer = cascade.adapt(gains, observer, seen, residual.tau, on)
-
-    q, acceleration = either(on.raw, (seen.y, qdd), (seen.q_hat, believed))
-    qd = surface.speed(gains.control.speed_weight, state.qd, acceleration, state.q + seen.shift, q, config.dt)
-    sliding_surface = surface.surface(gains.control, q, qd, reference)
-    fault = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _commanded
-    command = sliding_mode.law(config, gains.control, sliding_surface, q, fault, reference, on)  # lines 10 to 12
-    tau = dynamics.nominal_torque(robot, at if on.raw is False else rigid_body.pose(robot, q), qd, command.qdd)
-    tau = tau + dynamics.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
-
-    judged = either(on.fuzzy, seen.b, residual.q)  # b is the cleaner one where there is one
-    real = residuals.torque(mass, decision.trusted(state.decision, seen.psi))
-    coming = decision.trusted(state.decision, gains.diagnosis.lead * seen.e)
-    ahead = residuals.torque(mass, coming)  # what psi has yet to take up
-    statistic, (s_tau, s_q) = statistics.step(gains.diagnosis, state.statistics, real + ahead, judged)  # line 6
-    decided, verdict = decision.step(config, gains, state.decision, s_tau, s_q, real, seen, qd)  # lines 8, 9
-
-    output = Output(
-        tau=smooth.saturate(tau, rigid_body.trailing_constant(robot.torque_limit, tau)),
-        fault_tau_hat=residual.tau,
-        fault_q_hat=seen.fault,
-        residual_tau=residual.tau,
-        residual_q=residual.q,
-        statistic_tau=s_tau,
-        statistic_q=s_q,
-        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, tau.shape),
-        threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
-        verdict=verdict,
-        detected=(verdict > 0).any(0),
-        suspect=decided.doubt.suspect,
-        q_hat=seen.q_hat,
-        qd_hat=qd,
-        s=sliding_surface.s,
-        alpha_online=command.alpha_online,
-    )
-    pending = Pending(tau, command.qdd, pack(mass, tau))
-    return State(observer, statistic, decided, pending, seen.psi, q, qd), output
+    applied = _applied(config, state, measurement.tau)  # Eqs. (2), (3)
+    observer = cascade.apply_input(gains, state.observer, applied.u)  # line 1
+    reading = cascade.Reading(measurement.q, applied.qdd_hat, state.sensors)
+    observer, seen = cascade.correct(config, gains, observer, reading, on)  # lines 2 to 4, 7
+    at = rigid_body.pose(config.robot, seen.q_hat)
+    mass = dynamics.nominal_mass(config.robot, at)
+    residual = residuals.generate(mass, seen)  # line 5
+    observer = cascade.adapt(config, gains, observer, seen, residual.tau, on)
+    control, law = sliding_mode.step(config, gains, state.control, _to_control(config, applied, seen, reference, on))
+    command = _command(config, at, mass, control, law, reference, on)  # lines 10 to 12
+    real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
+    means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
+    inputs = decision.Inputs(statistic, real, seen, law.qd_hat)
+    decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
+    state = State(observer, means, decided, control, said.sensors, command, seen.psi)
+    return state, _report(config, gains, seen, residual, statistic, said, law, command)
 
 
-def _commanded(config: Config, state: State, tau: Array) -> tuple[Array, Array, Array]:
-    """Input of the ARX model, and accelerations [n, ...] rad/s^2 of the last tick without and with the estimated fault.
+def _applied(config: Config, state: State, tau: Array) -> Applied:
+    """Input of the ARX model, and accelerations of the last tick without and with the estimated fault.
 
     The psi of ``input="torque"`` stands for all that a constant inertia leaves out, gravity first, which the nominal arm
-    knows: it is no fault to believe in.
+    knows: it is no fault to count on.
     """
-    tau, qdd = commanded(config.robot, state.pending, tau)
+    tau, qdd = last_command.applied_acceleration(config.robot, state.command, tau)
     if config.input == "torque":
-        return tau + residuals.torque(rows(state.pending.mass), state.psi), qdd, qdd
-    return qdd + state.psi, qdd, qdd + state.psi
+        return Applied(tau + MassMatrix.unpacked(state.command.mass).matvec(state.psi), qdd, qdd)
+    return Applied(qdd + state.psi, qdd, qdd + state.psi)
+
+
+def _to_control(config: Config, applied: Applied, seen: Estimate, reference: Reference, on: Stages) -> sliding_mode.Inputs:
+    """What the control law sees: the reading as it comes, or both faults taken out."""
+    q, acceleration = either(on.raw, (seen.y, applied.qdd), (seen.q_hat, applied.qdd_hat))
+    psi = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _applied
+    return sliding_mode.Inputs(q, acceleration, seen.model_reset, psi, reference, on)
+
+
+def _command(
+    config: Config,
+    at: rigid_body.Pose,
+    mass: MassMatrix,
+    control: sliding_mode.State,
+    law: sliding_mode.Command,
+    reference: Reference,
+    on: Stages,
+) -> LastCommand:
+    """Torque before the limits that makes the commanded acceleration, by one Newton-Euler pass."""
+    robot = config.robot
+    at = at if on.raw is False else rigid_body.pose(robot, control.q)
+    tau = dynamics.nominal_torque(robot, at, law.qd_hat, law.qdd)
+    tau = tau + dynamics.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
+    return LastCommand(tau, law.qdd, mass.packed(tau))
+
+
+def _watched(
+    gains: Gains,
+    sensors: SensorStatus,
+    mass: MassMatrix,
+    seen: Estimate,
+    residual: residuals.Residuals,
+    on: Stages,
+) -> tuple[Array, statistics.Inputs]:
+    """Torque residual [n, ...] N m of the joints whose readings are in order, and what the statistics are made of.
+
+    lead e is what psi has yet to take up; b is the cleaner encoder residual where there is one.
+    """
+    real = mass.matvec(sensor_check.mask_suspect(sensors, seen.psi))
+    ahead = mass.matvec(sensor_check.mask_suspect(sensors, gains.diagnosis.lead * seen.e))
+    return real, statistics.Inputs(real + ahead, either(on.fuzzy, seen.b, residual.q))
+
+
+def _report(
+    config: Config,
+    gains: Gains,
+    seen: Estimate,
+    residual: residuals.Residuals,
+    statistic: statistics.Statistics,
+    said: decision.Decision,
+    law: sliding_mode.Command,
+    command: LastCommand,
+) -> Output:
+    """What the tick says."""
+    tau = command.tau
+    return Output(
+        tau=smooth.saturate(tau, rigid_body.trailing_constant(config.robot.torque_limit, tau)),
+        fault_tau_hat=residual.tau,
+        fault_q_hat=seen.fault_q,
+        residual_tau=residual.tau,
+        residual_q=residual.q,
+        statistic_tau=statistic.tau,
+        statistic_q=statistic.q,
+        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, tau.shape),
+        threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
+        verdict=said.verdict,
+        detected=(said.verdict > 0).any(0),
+        suspect=said.sensors.suspect,
+        q_hat=seen.q_hat,
+        qd_hat=law.qd_hat,
+        s=law.s,
+        alpha_online=law.alpha_online,
+    )

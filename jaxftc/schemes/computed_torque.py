@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from jaxftc.config import Config
 from jaxftc.control import surface
-from jaxftc.control.last_command import Pending, commanded, holding, pack
+from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
 from jaxftc.robot import dynamics, rigid_body
@@ -35,7 +35,7 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     motion: Motion
-    pending: Pending
+    command: LastCommand
 
     @property
     def q(self) -> Array:
@@ -46,17 +46,17 @@ class State(NamedTuple):
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
     del gains
-    return State(rest(q), holding(config.robot, q))
+    return State(rest(q), hold(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """Track, and say nothing of faults."""
-    _, qdd = commanded(config.robot, state.pending, measurement.tau)
+    _, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
     motion = follow(config, gains, state.motion, qdd, measurement.q)
     zero = jnp.zeros_like(motion.q)
-    pending = law(config, gains, motion.q, motion.qd, reference, zero)
+    command = law(config, gains, motion.q, motion.qd, reference, zero)
     never = jnp.full_like(zero, jnp.inf)
-    return State(motion, pending), report(config, pending, motion.q, motion.qd, threshold_tau=never, threshold_q=never)
+    return State(motion, command), report(config, command, motion.q, motion.qd, threshold_tau=never, threshold_q=never)
 
 
 def rest(q: Array) -> Motion:
@@ -81,18 +81,18 @@ def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Ar
     return Motion(q, qd, half, missing.astype(q.dtype))
 
 
-def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference, fault: Array) -> Pending:
+def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference, fault: Array) -> LastCommand:
     """Command at (q, qd) [n, ...] rad, rad/s that follows the reference and compensates a torque ``fault`` [n, ...] N m."""
     robot, at = config.robot, rigid_body.pose(config.robot, q)
     qdd = reference.qdd + gains.baseline.kd * (reference.qd - qd) + gains.baseline.kp * (reference.q - q)
     friction = dynamics.coulomb(robot, reference.qd)  # at the wanted speed, see cascade.py
     tau = dynamics.nominal_torque(robot, at, qd, qdd) + friction - fault
-    return Pending(tau, qdd, pack(dynamics.nominal_mass(robot, at), q))
+    return LastCommand(tau, qdd, dynamics.nominal_mass(robot, at).packed(q))
 
 
 def report(
     config: Config,
-    pending: Pending,
+    command: LastCommand,
     q: Array,
     qd: Array,
     *,
@@ -107,7 +107,7 @@ def report(
     fault_tau, fault_q = (zero if fault is None else fault for fault in (fault_tau, fault_q))
     verdict = jnp.zeros(q.shape, jnp.int32) if verdict is None else verdict
     return Output(
-        tau=smooth.saturate(pending.tau, rigid_body.trailing_constant(config.robot.torque_limit, q)),
+        tau=smooth.saturate(command.tau, rigid_body.trailing_constant(config.robot.torque_limit, q)),
         fault_tau_hat=fault_tau,
         fault_q_hat=fault_q,
         residual_tau=fault_tau,

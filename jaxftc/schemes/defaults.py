@@ -28,5 +28,5 @@ def default_gains(config: Config) -> Gains:
 
 def _inertia(config: Config) -> np.ndarray:
     """M [n, n] kg m^2 of the nominal arm in its zero position."""
-    rows = dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, jnp.asarray(config.robot.q_zero)))
-    return np.array([[float(m) for m in row] for row in rows])
+    mass = dynamics.nominal_mass(config.robot, rigid_body.pose(config.robot, jnp.asarray(config.robot.q_zero)))
+    return np.array([[float(m) for m in row] for row in mass.rows])

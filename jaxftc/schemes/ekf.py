@@ -20,12 +20,14 @@ import jax
 import jax.numpy as jnp
 
 from jaxftc.config import Config
-from jaxftc.control.last_command import Pending, commanded, holding
-from jaxftc.diagnosis import decision
+from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
+from jaxftc.diagnosis import alarm, decision
+from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot.rigid_body import MassMatrix
 from jaxftc.schemes import computed_torque
-from jaxftc.types import ACTUATOR, SENSOR, Array, Measurement, Output, Reference
+from jaxftc.types import Array, Measurement, Output, Reference
 
 
 class Belief(NamedTuple):
@@ -39,11 +41,8 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     belief: Belief
-    tau_on: Array  # [n, ...] 1 while the torque alarm is up
-    tau_run: Array  # [n, ...] ticks in a row that speak against its present state
-    q_on: Array  # [n, ...] 1 while the encoder alarm is up
-    q_run: Array
-    pending: Pending
+    alarm: alarm.State
+    command: LastCommand
 
     @property
     def q(self) -> Array:
@@ -56,32 +55,30 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     zero = jnp.zeros_like(q)
     cov = diagonal(jnp.broadcast_to(gains.baseline.noise_y**2, q.shape), zero, zero, zero)
     belief = Belief(jnp.concatenate([q, zero, zero, zero]), cov)
-    return State(belief, zero, zero, zero, zero, holding(config.robot, q))
+    return State(belief, alarm.init(config, gains, q), hold(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """Predict, correct, judge both fault states, track with both taken out."""
-    tau, qdd = commanded(config.robot, state.pending, measurement.tau)
+    tau, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
     belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, tau), measurement.q)
     q, qd, fault_tau, fault_q = parts(belief.mean)
     qd = qd + 0.5 * config.dt * qdd  # q+ - q = T qd+: the integrator's speed is that of half a tick ago (control/surface.py)
-    pending = computed_torque.law(config, gains, q, qd, reference, fault_tau)
+    command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
 
-    s_tau, s_q, level, on = jax.lax.stop_gradient((fault_tau, fault_q, gains.diagnosis, state[1:5]))
-    tau_on, tau_run = decision.alarm(s_tau, level.alpha_tau, on[0], on[1], config.alarm_ticks, config.release_ticks)
-    q_on, q_run = decision.alarm(s_q, level.alpha_q, on[2], on[3], 1, config.release_ticks)
+    own, alarms = alarm.step(config, gains, state.alarm, Statistics(fault_tau, fault_q))
     output = computed_torque.report(
         config,
-        pending,
+        command,
         q,
         qd,
         threshold_tau=gains.diagnosis.alpha_tau,
         threshold_q=gains.diagnosis.alpha_q,
         fault_tau=fault_tau,
         fault_q=fault_q,
-        verdict=ACTUATOR * (tau_on > 0).astype(jnp.int32) + SENSOR * (q_on > 0).astype(jnp.int32),
+        verdict=decision.verdict(alarms.tau, alarms.q),
     )
-    return State(belief, tau_on, tau_run, q_on, q_run, pending), output
+    return State(belief, own, command), output
 
 
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:
@@ -90,11 +87,12 @@ def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) ->
     q, qd, fault_tau, b = parts(belief.mean)
     at = rigid_body.pose(robot, q)
     mass = dynamics.nominal_mass(robot, at)
-    inertia = rigid_body.stack([mass[i][i] for i in range(config.n)], q)
-    for i in range(config.n):
-        mass[i][i] = mass[i][i] + dt * float(robot.damping[i])  # viscous friction acts implicitly, as in the plant
+    inertia = mass.diagonal(q)
+    mass = mass.plus_diagonal(
+        [dt * float(damping) for damping in robot.damping]
+    )  # friction acts implicitly, as in the plant
     bias = dynamics.nominal_torque(robot, at, qd, jnp.zeros_like(qd)) + dynamics.coulomb(robot, qd)
-    qdd = jnp.stack(rigid_body.solve(mass, rigid_body.lanes(tau + fault_tau - bias)))
+    qdd = mass.solve(tau + fault_tau - bias)
 
     def torque(q: Array, qd: Array) -> Array:
         return dynamics.nominal_torque(robot, rigid_body.pose(robot, q), qd, qdd) + dynamics.coulomb(robot, qd)
@@ -104,7 +102,7 @@ def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) ->
     seeds = jnp.concatenate([unit, none]), jnp.concatenate([none, unit])  # each angle, then each speed
     change = -jax.vmap(lambda *seed: jax.jvp(torque, (q, qd), seed)[1], out_axes=1)(*seeds)
     change = jnp.concatenate([change, unit], axis=1)  # [n, 3n, ...] of torque with (q, qd, tau_f)
-    slope = dt * jnp.stack(rigid_body.solve(mass, rigid_body.lanes(change)))  # [n, 3n, ...] of qd+ - qd
+    slope = dt * mass.solve(change)  # [n, 3n, ...] of qd+ - qd
 
     def push(columns: Array) -> Array:
         """F times columns [4n, m, ...]."""
@@ -133,8 +131,7 @@ def correct(gains: BaselineGains, belief: Belief, reading: Array) -> Belief:
     spread = read(both.swapaxes(0, 1))  # H P H^T, [n, n, ...]
     spread = jnp.where(missing[:, None] | missing[None], 0.0, spread)
     spread = spread + jnp.where(identity(n, q.ndim - 1), jnp.where(missing, 1.0, noise)[None], 0.0)
-    rows = [rigid_body.lanes(row) for row in rigid_body.lanes(spread)]
-    gain = jnp.stack(rigid_body.solve(rows, rigid_body.lanes(jnp.where(missing[:, None], 0.0, both))))  # K^T, [n, 4n, ...]
+    gain = MassMatrix.of(spread).solve(jnp.where(missing[:, None], 0.0, both))  # K^T, [n, 4n, ...]
     mean = belief.mean + (gain * e[:, None]).sum(0)
     half = belief.cov - outer(gain, both)  # (I - K H) P
     cov = half + outer(noise[:, None] * gain - read(half.swapaxes(0, 1)), gain)

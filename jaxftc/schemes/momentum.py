@@ -24,14 +24,15 @@ import jax
 import jax.numpy as jnp
 
 from jaxftc.config import Config
-from jaxftc.control.last_command import Pending, commanded, holding
-from jaxftc.diagnosis import decision
+from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
+from jaxftc.diagnosis import alarm, decision
+from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.robot import dynamics, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import computed_torque
 from jaxftc.schemes.computed_torque import Motion
-from jaxftc.types import ACTUATOR, Array, Measurement, Output, Reference
+from jaxftc.types import Array, Measurement, Output, Reference
 
 
 class Observer(NamedTuple):
@@ -47,9 +48,8 @@ class State(NamedTuple):
 
     motion: Motion
     observer: Observer
-    on: Array  # [n, ...] 1 while the alarm is up
-    run: Array  # [n, ...] ticks in a row that speak against the alarm's present state
-    pending: Pending
+    alarm: alarm.State
+    command: LastCommand
 
     @property
     def q(self) -> Array:
@@ -59,10 +59,9 @@ class State(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """No fault, at rest in q [n, ...] rad."""
-    del gains
     zero = jnp.zeros_like(q)
     observer = Observer(zero, *momentum(config.robot, q, zero))
-    return State(computed_torque.rest(q), observer, zero, zero, holding(config.robot, q))
+    return State(computed_torque.rest(q), observer, alarm.init(config, gains, q), hold(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
@@ -72,26 +71,23 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     """
     # The command compensates r, so the acceleration it stands for has r in it: without that the speed would be biased by a
     # fault, by M^-1 fault for as long as the speed filter remembers.
-    tau, qdd = commanded(config.robot, state.pending, measurement.tau)
+    tau, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
     motion = computed_torque.follow(config, gains, state.motion, qdd, measurement.q)
     now = momentum(config.robot, motion.q, motion.half)
     observer = observe(gains.baseline, state.observer, now, tau, config.dt)
-    level = gains.diagnosis.alpha_tau
-    on, run = decision.alarm(
-        *jax.lax.stop_gradient((observer.r, level, state.on, state.run)), config.alarm_ticks, config.release_ticks
-    )
-    pending = computed_torque.law(config, gains, motion.q, motion.qd, reference, observer.r)
+    own, alarms = alarm.step(config, gains, state.alarm, Statistics(observer.r, jnp.zeros_like(observer.r)))
+    command = computed_torque.law(config, gains, motion.q, motion.qd, reference, observer.r)
     output = computed_torque.report(
         config,
-        pending,
+        command,
         motion.q,
         motion.qd,
-        threshold_tau=level,
+        threshold_tau=gains.diagnosis.alpha_tau,
         threshold_q=jnp.full_like(motion.q, jnp.inf),
         fault_tau=observer.r,
-        verdict=ACTUATOR * (on > 0).astype(jnp.int32),
+        verdict=decision.verdict(alarms.tau, alarms.q),
     )
-    return State(motion, observer, on, run, pending), output
+    return State(motion, observer, own, command), output
 
 
 def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 ``init`` and ``step`` are what runs on a robot, whatever the scheme. What crosses the door is checked and made whole here, so
 that no scheme needs to. Every scheme's state has ``q`` [n, ...] rad, the angle that it takes the arm to be at, and
-``pending.tau`` [n, ...] N m, its last command before the limits.
+``command.tau`` [n, ...] N m, its last command before the limits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from jaxftc.schemes import cascade, computed_torque, ekf, momentum
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
 
-ROOMS: dict[str, ModuleType] = {
+SCHEMES: dict[str, ModuleType] = {
     "cascade": cascade,
     "momentum": momentum,
     "ekf": ekf,
@@ -40,7 +40,7 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     checks.finite("q", q, "give the arm's measured angles in rad")
     check_gains(config, gains)
     q = jnp.asarray(q, gains.arx.xi_a.dtype)
-    return ROOMS[config.scheme].init(config, align(gains, q.ndim - 1), q)
+    return SCHEMES[config.scheme].init(config, align(gains, q.ndim - 1), q)
 
 
 def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
@@ -57,8 +57,8 @@ def tick(
     config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
 ) -> tuple[Any, Output]:
     """``step``, with the cascade's stages given as data in place of the config's observer and control."""
-    room = ROOMS[config.scheme]
-    if not isinstance(state, room.State):
+    scheme = SCHEMES[config.scheme]
+    if not isinstance(state, scheme.State):
         raise ValueError(
             f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
             f"{type(state).__name__}"
@@ -66,7 +66,7 @@ def tick(
     check_gains(config, gains)
     reference, measurement = _signals(config, state.q, reference, measurement)
     choice = {} if stages is None or config.scheme != "cascade" else {"stages": stages}
-    return room.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **choice)
+    return scheme.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **choice)
 
 
 def holding_torque(config: Config, q: Array) -> Array:

@@ -119,13 +119,13 @@ def tick(
     y_hat = np.array([kappa[j] @ x[j] for j in range(n)])  # Eq. (6)
     e_raw = y - b - y_hat
     jump = e_raw - e_prev
-    strange = jump
+    unexplained = jump
     if history is not None:
         q1, q2, u_prev = history
-        strange = y - b - 2 * q1 + q2 - dt**2 * u_prev  # what no acceleration explains of the second difference
+        unexplained = y - b - 2 * q1 + q2 - dt**2 * u_prev  # what no acceleration explains of the second difference
 
     # The sensor rule comes first: only an encoder can jump within one sample.
-    h_s = sensor_grade(np.abs(strange) / jump_limit, centres_jump, widths_jump) if with_fuzzy else np.zeros(n)
+    h_s = sensor_grade(np.abs(unexplained) / jump_limit, centres_jump, widths_jump) if with_fuzzy else np.zeros(n)
     b_next = b + alpha_f2 * h_s * jump
     e = e_raw - alpha_f2 * h_s * jump
     q_hat = y - b_next
@@ -143,7 +143,7 @@ def tick(
     if with_fuzzy:
         h_normal, h_act, h_sensor, h_both = rule_weights(
             np.abs(residual_tau) / threshold_tau,
-            np.abs(strange) / jump_limit,
+            np.abs(unexplained) / jump_limit,
             centres_tau,
             widths_tau,
             centres_jump,

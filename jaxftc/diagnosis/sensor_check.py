@@ -1,0 +1,138 @@
+"""Sensor check: encoder faults that are too slow to jump, found by what they do to the reading.
+
+The torque channel sees them first; each detector here takes one kind for what it is:
+
+* ``velocity_transient``: the onset of a drift changes the reading's speed, which looks like a torque until the observer has
+  settled, and then like nothing. A torque that is really there stays. A torque residual that falls to ``FALLEN`` of its peak
+  (or a statistic below the release level) within ``config.transient_ticks`` of the alarm was one. Of several at once only
+  the largest counts: the inertia matrix spreads it to the neighbours;
+* ``freeze``: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all;
+* ``jump_rate``: noise or a steep drift, many jumps in a tenth of a second, to and fro or one way.
+
+A reading found out in this way explains the torque residual of its joint, and the acceleration it feigned is kept out of the
+other joints' residuals (``mask_suspect``).
+
+Limits: an actuator fault on the very joint of a slow encoder fault is hidden by it; a torque pulse shorter than
+``transient_ticks`` changes the speed just as a drift does and is called one; encoders alone cannot tell them apart.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxftc.config import Config
+from jaxftc.diagnosis.alarm import Alarms
+from jaxftc.gains import Gains
+from jaxftc.observer.cascade import Estimate
+from jaxftc.types import Array, SensorStatus
+
+FALLEN = 0.35  # share of its peak to which the residual of a velocity transient has fallen
+FROZEN_READINGS = 5
+MANY_JUMPS = 8.0
+TRANSIENT_MEMORY = 500  # ticks without an alarm after which a velocity transient is forgotten
+JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
+
+
+class Transient(NamedTuple):
+    """What tells a velocity transient from a torque; all [n, ...]."""
+
+    alarmed: Array  # 1 while the torque alarm is up, else 0
+    age: Array  # ticks since it rose
+    peak: Array  # N m, largest torque residual in this alarm
+    found: Array  # 1 once an alarm was found to be one, until all has been quiet for TRANSIENT_MEMORY
+    quiet: Array  # ticks since an alarm was up
+
+
+class Jumps(NamedTuple):
+    """Leaky counts of jumps; all [n, ...]."""
+
+    total: Array
+    signed: Array  # the same, jumps down counted negative
+
+
+class Freeze(NamedTuple):
+    """Readings that do not change; all [n, ...]."""
+
+    y: Array  # rad, last reading
+    equal: Array  # readings in a row that did not change or did not come
+    speed: Array  # rad/s, when the reading last changed
+
+
+class State(NamedTuple):
+    """What the detectors remember."""
+
+    transient: Transient
+    jumps: Jumps
+    freeze: Freeze
+
+
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    alarms: Alarms
+    residual_tau: Array  # [n, ...] N m
+    estimate: Estimate
+    qd_hat: Array  # [n, ...] rad/s
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """Nothing found."""
+    del config, gains
+    zero = jnp.zeros_like(q)
+    return State(Transient(*[zero] * 5), Jumps(zero, zero), Freeze(q, zero, zero))
+
+
+def nothing_found(q: Array) -> SensorStatus:
+    """Status of sensors [n, ...] that are in order."""
+    return SensorStatus(*[jnp.zeros_like(q)] * 4)
+
+
+def mask_suspect(sensors: SensorStatus, psi: Array) -> Array:
+    """Fault estimate psi [n, ...] rad/s^2 without the joints whose reading is held to be wrong."""
+    return psi * (1 - sensors.suspect)
+
+
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, SensorStatus]:
+    """All detectors. Comparisons: no gradient passes."""
+    gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
+    transient = velocity_transient(config, gains, state.transient, inputs)
+    jumps, many, noisy = jump_rate(state.jumps, inputs.estimate)
+    unchanging, frozen = freeze(config, gains, state.freeze, inputs)
+    suspect = frozen | many | (transient.found > 0)
+    status = SensorStatus(*(flag.astype(inputs.qd_hat.dtype) for flag in (suspect, transient.found > 0, frozen, noisy)))
+    return State(transient, jumps, unchanging), status
+
+
+def velocity_transient(config: Config, gains: Gains, state: Transient, inputs: Inputs) -> Transient:
+    """A torque alarm that is over too soon for a torque."""
+    residual, up = jnp.abs(inputs.residual_tau), inputs.alarms.tau
+    alarmed = (state.alarmed > 0) | up
+    age = jnp.where(alarmed, state.age + 1, 0.0)
+    peak = jnp.where(alarmed, jnp.maximum(state.peak, residual), 0.0)
+    fallen = ~up | (residual < FALLEN * peak)
+    excess = peak / gains.diagnosis.alpha_tau
+    now = (state.alarmed > 0) & (age < config.transient_ticks) & fallen & (excess >= excess.max(0))
+    quiet = jnp.where(up | inputs.alarms.q, 0.0, state.quiet + 1)
+    found = jnp.where(now, 1.0, jnp.where(quiet >= TRANSIENT_MEMORY, 0.0, state.found))
+    return Transient(up.astype(residual.dtype), age, peak, found, quiet)
+
+
+def jump_rate(state: Jumps, seen: Estimate) -> tuple[Jumps, Array, Array]:
+    """Counts, and [n, ...] bool: many jumps; many that go to and fro (a steep drift jumps one way)."""
+    total = JUMP_MEMORY * state.total + seen.jump.h_s
+    signed = JUMP_MEMORY * state.signed + seen.jump.h_s * seen.jump.side
+    many = total >= MANY_JUMPS
+    return Jumps(total, signed), many, many & (jnp.abs(signed) < 0.5 * total)
+
+
+def freeze(config: Config, gains: Gains, state: Freeze, inputs: Inputs) -> tuple[Freeze, Array]:
+    """Readings that stay the same while the arm moves, or do not come; [n, ...] bool."""
+    seen = inputs.estimate
+    unchanged = seen.missing | (seen.y == state.y)
+    equal = jnp.where(unchanged, state.equal + 1, 0.0)
+    speed = jnp.where(unchanged, state.speed, inputs.qd_hat)
+    moved = equal * config.dt * jnp.abs(speed) > gains.observer.jump
+    return Freeze(seen.y, equal, speed), (equal >= FROZEN_READINGS) & (moved | seen.absent)
