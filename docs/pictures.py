@@ -1,4 +1,4 @@
-"""The README's pictures, from real runs: ``python docs/pictures.py`` writes arm.gif, residuals.png and tuning.png beside it.
+"""The pictures of README and docs, from real runs: ``python docs/pictures.py`` writes arm.gif, residuals.png, tuning.png.
 
 Takes some minutes, a Chromium on the PATH, and ``pip install -e '.[test]'``. The performance chart has its own command,
 ``python -m benchmarks.chart``.

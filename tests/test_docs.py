@@ -16,7 +16,11 @@ import tuning
 from jaxftc.gains import BLOCKS, Spec, specs
 
 ROOT = Path(__file__).parents[1]
-PAGES = {path.name: path.read_text() for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]}
+DOCS = ROOT / "docs"
+PAGES = {"README.md": (ROOT / "README.md").read_text()}
+PAGES |= {
+    path.relative_to(DOCS).as_posix(): path.read_text() for path in sorted(DOCS.rglob("*.md")) if "_build" not in path.parts
+}
 SLOW_PAGES = {"campaigns.md", "performance.md", "tuning.md"}  # they compile campaigns, or a gradient for all gains
 REDUCED = {  # options added to the printed commands before they run here: their own sizes take minutes to hours
     "demo": "--engine chain",
@@ -228,9 +232,16 @@ def test_the_api_has_every_public_name():
 
 
 def test_every_page_is_in_the_table_of_contents():
-    names = set(re.findall(r"^[\w-]+$", PAGES["index.md"], re.MULTILINE))
-    assert names == {Path(page).stem for page in PAGES} - {"README", "index"}
+    names = set(re.findall(r"^[\w/-]+$", PAGES["index.md"], re.MULTILINE))
+    assert names == {page.removesuffix(".md") for page in PAGES} - {"README", "index"}
     assert all(f"]({name}.md)" in PAGES["index.md"] for name in names)
+
+
+def test_links_of_the_readme_lead_somewhere():
+    for path, anchor in re.findall(r"\]\((docs/[^)#]+)#?([^)]*)\)", PAGES["README.md"]):
+        assert (ROOT / path).exists(), path
+        headings = re.findall(r"^#+ (.+)$", (ROOT / path).read_text(), re.MULTILINE) if anchor else []
+        assert not anchor or anchor in {heading.lower().replace(" ", "-") for heading in headings}, f"{path}#{anchor}"
 
 
 def test_the_site_builds_without_a_warning(tmp_path):
@@ -240,7 +251,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     pages = {page: (tmp_path / page).with_suffix(".html").read_text() for page in PAGES if page != "README.md"}
-    assert "<math" in pages["theory.md"] and "as printed the fault is doubled" in pages["theory.md"]
+    assert "<math" in pages["theory.md"] and "as printed the fault is doubled" in pages["paper.md"]
     assert 'id="jaxftc.simulate"' in pages["api.md"] and "torque command within the limits" in pages["api.md"]
     assert "A healthy run" in pages["tutorial.md"]
     assert not re.search(r'<script[^>]+src="https?:', "".join(pages.values())), "pages open offline"

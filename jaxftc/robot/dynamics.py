@@ -1,6 +1,6 @@
 """The door to the arm's dynamics: one signature, two engines.
 
-Equation of motion (design choice on Eq. 1, signs as in the README)::
+Equation of motion (design choice on Eq. 1, signs as in ``docs/paper.md``)::
 
     M(q) qdd + h(q, qd) + D qd + f_c(qd) = tau + fault_tau
 
