@@ -12,7 +12,7 @@ from twins import laguerre as twin
 
 import jaxftc
 from jaxftc import identify
-from jaxftc.identify import Log
+from jaxftc.identify import Log, linear_model
 from jaxftc.observer import arx
 from jaxftc.robot import dynamics, rigid_body
 from jaxftc.scenarios.scenario import paper_scenario
@@ -154,7 +154,7 @@ def test_features_and_with_kappa_agree_with_the_predictor(rigid, torque):
         }
         gains = dataclasses.replace(gains, arx=dataclasses.replace(gains.arx, offset=drawn["offset"]))
         bank = arx.State(drawn["x_a"], drawn["x_b"])
-        kappa = identify.readout.flatten(gains.arx)
+        kappa = linear_model.flatten(gains.arx)
         y_hat = (kappa * identify.features(config, bank)).sum(1)
         np.testing.assert_allclose(y_hat, arx.predict(gains.arx, bank), rtol=1e-12)
         back = identify.with_kappa(config, gains, kappa)
@@ -261,7 +261,7 @@ def test_multistep_never_gets_worse(request, noisy, form, start):
 def test_multistep_keeps_a_start_that_the_constraint_cannot_beat(rigid, noisy):
     """A read-out that is free to break H_y(1) = 1 fits one log better over one step, the horizon of this test."""
     config, gains = rigid
-    phi, q = identify.readout.data(config, gains, noisy)
+    phi, q = linear_model.data(config, gains, noisy)
     columns = phi[:, :, :-1]
     kappa = np.stack([np.linalg.lstsq(columns[:, j], q[:, j], rcond=None)[0] for j in range(config.n)])
     free = identify.with_kappa(config, gains, np.concatenate([kappa, np.zeros((config.n, 1))], axis=1))
@@ -310,7 +310,7 @@ def test_the_torque_form_fits_its_motion_and_not_another(torque, noisy, other):
 def test_holding_the_torque_forms_steady_gain_helps_against_noise(torque, record):
     config, gains = torque
     log = identify.from_trace(record(NOISE, 1, np.full(6, 0.1)))
-    phi, q = identify.readout.data(config, gains, log)
+    phi, q = linear_model.data(config, gains, log)
     length = np.linalg.norm(phi, axis=0)
     kappa = np.stack([np.linalg.lstsq(phi[:, j] / length[j], q[:, j], rcond=None)[0] / length[j] for j in range(6)])
     free = identify.with_kappa(config, gains, kappa)
@@ -347,7 +347,7 @@ def rows(rigid, noisy):
 @pytest.mark.parametrize("form", ["rigid", "torque"])
 def test_without_forgetting_recursive_is_batch(request, noisy, form):
     config, gains = request.getfixturevalue(form)
-    phi, q = identify.readout.data(config, gains, noisy)
+    phi, q = linear_model.data(config, gains, noisy)
     state = identify.rls_init(config, gains, prior=1e-9, quiet=0.0)
     _, kappa = recurse(state, jnp.asarray(phi), jnp.asarray(q))
     recursive, batch = identify.with_kappa(config, gains, kappa), identify.fit_batch(config, gains, noisy)
@@ -385,7 +385,7 @@ def test_a_joint_at_rest_neither_learns_nor_forgets(rigid, rows):
 def test_forgetting_follows_a_change(rigid, rows):
     config, gains = rigid
     phi, _ = rows
-    before, after = (identify.readout.span(config, g.arx)[0] for g in (perturbed(gains), gains))
+    before, after = (linear_model.span(config, g.arx)[0] for g in (perturbed(gains), gains))
     y = jnp.concatenate([jnp.einsum("nf,tnf->tn", jnp.asarray(kappa), phi) for kappa in (before, after)])
     for forgetting, followed in ((0.98, True), (1.0, False)):
         _, kappa = recurse(identify.rls_init(config, gains), jnp.concatenate([phi, phi]), y, forgetting)

@@ -26,6 +26,8 @@ set to; angles are in rad, torques in N m.
 """
 
 from jaxftc.identify.batch import fit_batch as fit_batch
+from jaxftc.identify.linear_model import features as features
+from jaxftc.identify.linear_model import regressors as regressors
 from jaxftc.identify.multistep import Errors as Errors
 from jaxftc.identify.multistep import Size as Size
 from jaxftc.identify.multistep import errors as errors
@@ -34,8 +36,6 @@ from jaxftc.identify.multistep import predict as predict
 from jaxftc.identify.recursive import RlsState as RlsState
 from jaxftc.identify.recursive import rls_init as rls_init
 from jaxftc.identify.recursive import rls_step as rls_step
-from jaxftc.identify.regressors import features as features
-from jaxftc.identify.regressors import regressors as regressors
 from jaxftc.logs.log import Log as Log
 from jaxftc.logs.log import from_trace as from_trace
 from jaxftc.logs.log import model_input as model_input

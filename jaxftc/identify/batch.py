@@ -7,7 +7,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.identify.regressors import data, span
+from jaxftc.identify.linear_model import data, span
 from jaxftc.logs.log import Log
 from jaxftc.observer.readout import rounded, with_kappa
 

@@ -16,7 +16,7 @@ from jaxftc import checks
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.identify.regressors import data, flatten, span
+from jaxftc.identify.linear_model import data, flatten, span
 from jaxftc.logs.log import Log
 from jaxftc.observer import laguerre
 from jaxftc.observer.readout import rounded, with_kappa

@@ -19,7 +19,7 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
-from jaxftc.identify.regressors import span
+from jaxftc.identify.linear_model import span
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
 
