@@ -27,17 +27,6 @@ N, RATE = 6, 120.0
 SMALL = jaxftc.Config(three_hinges(), engine="chain")
 
 
-def replaced(gains: jaxftc.Gains, **values: float) -> jaxftc.Gains:
-    """Gains with others, named block_name, alike on all joints."""
-    for path, value in values.items():
-        block, _, name = path.partition("_")
-        part = getattr(gains, block)
-        gains = dataclasses.replace(
-            gains, **{block: dataclasses.replace(part, **{name: jnp.full_like(getattr(part, name), value)})}
-        )
-    return gains
-
-
 def hinge(damping: float = 0.0) -> jaxftc.Robot:
     """One hinge of constant inertia without gravity: a linear system."""
     body = '<body><inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .2"/>'
@@ -54,7 +43,7 @@ def quiet(config: jaxftc.Config, condition: str, **change: float) -> jaxftc.Scen
 
 @functools.cache
 def run(config: jaxftc.Config, condition: str) -> jaxftc.Trace:
-    gains = replaced(jaxftc.default_gains(config), baseline_speed_weight=1.0, baseline_rate=RATE)
+    gains = jaxftc.default_gains(config).replace({"baseline.speed_weight": 1.0, "baseline.rate": RATE})
     return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, quiet(config, condition), jax.random.key(0)))
 
 
@@ -321,7 +310,7 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
 
 
 def test_the_printed_super_twisting_is_the_papers(config):
-    gains = align(replaced(jaxftc.default_gains(config), observer_alpha_sm0=20.0), 0).observer
+    gains = align(jaxftc.default_gains(config).replace({"observer.alpha_sm0": 20.0}), 0).observer
     state, errors = super_twisting.State(jnp.zeros(N)), np.random.default_rng(3).normal(size=(5, N)) * 1e-3
     late = np.zeros(N)
     for e in errors:
@@ -333,7 +322,7 @@ def test_the_printed_super_twisting_is_the_papers(config):
 def test_the_printed_observer_runs_the_printed_equation(config):
     """With the correction weight 1 and no integral the innovation follows from the reading, so psi can be replayed."""
     config = dataclasses.replace(config, observer="eso_printed", sign="hard")
-    gains = replaced(jaxftc.default_gains(config), observer_alpha_i=0.0)
+    gains = jaxftc.default_gains(config).replace({"observer.alpha_i": 0.0})
     scenario = jaxftc.paper_scenario("healthy", config)
     out = jaxftc.simulate(config, gains, scenario, jax.random.key(0)).out
     errors, psi = np.asarray(out.residual_q), []

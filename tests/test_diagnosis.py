@@ -199,10 +199,8 @@ def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     padded = (cases * 2)[:ROBUST]  # a batch of the same size as in the test below: one program
     batch = trail(stack([encoder_fault(config, kind, size) for kind, size in padded]))
     gains = jaxftc.default_gains(config)
-    tight = dataclasses.replace(gains.diagnosis, alpha_q=jnp.full(6, np.deg2rad(0.02)))
-    verdict = metrics.columns(
-        jaxftc.simulate(config, dataclasses.replace(gains, diagnosis=tight), batch, jax.random.key(0))
-    )["verdict"]
+    tight = gains.replace({"diagnosis.alpha_q": np.deg2rad(0.02)})
+    verdict = metrics.columns(jaxftc.simulate(config, tight, batch, jax.random.key(0)))["verdict"]
     for c, (kind, size) in enumerate(cases):
         first = np.flatnonzero(verdict[:, :, c].any(1))[0]
         assert first >= 100, (kind, size)

@@ -216,6 +216,9 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
         ({"objective": {}}, "the objective has no terms"),
         ({"freeze": ["observer", "diagnosis", "control"]}, "every gain is frozen"),
         ({"only": ["control.lamb"]}, "did you mean 'control.lam'"),
+        ({"only": ["lam"]}, "did you mean 'control.lam'"),
+        ({"freeze": ["eps"]}, "did you mean 'control.eps'"),
+        ({"shared": ["alpha_tau"]}, "did you mean 'diagnosis.alpha_tau'"),
         ({"start": jnp.nan}, "control.lam must be finite"),
     ],
 )
@@ -223,9 +226,7 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
     start = None
     if "start" in change:
         gains = jaxftc.default_gains(arm)
-        start = dataclasses.replace(
-            gains, control=dataclasses.replace(gains.control, lam=jnp.full(arm.n, change.pop("start")))
-        )
+        start = gains.replace({"control.lam": change.pop("start")})
     some = take(scenarios, change.pop("scenarios", slice(None)))
     if "validation" in change:
         change["validation"] = take(scenarios, change["validation"])
