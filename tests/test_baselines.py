@@ -17,7 +17,7 @@ from jaxftc.robot.model import compile_robot
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.schemes import ekf, momentum, registry
-from jaxftc.types import ACTUATOR
+from jaxftc.types import Verdict
 from tests.arms import three_hinges
 from tests.twins import printed
 from tuning import transform
@@ -157,7 +157,7 @@ def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
     trace = run(of(config, "momentum"), "actuator")
     np.testing.assert_allclose(trace.out.residual_tau, low_passed(trace.fault_tau, config.dt), atol=0.25)
     np.testing.assert_array_equal(trace.out.residual_tau, trace.out.fault_tau_hat)
-    first = np.argmax(trace.out.verdict == ACTUATOR, axis=0)  # 2 of 5 N m, and two more ticks
+    first = np.argmax(trace.out.verdict == Verdict.ACTUATOR, axis=0)  # 2 of 5 N m, and two more ticks
     expected = 10 + int(np.ceil(-np.log(1 - 2 / 5) / RATE / config.dt)) + config.alarm_ticks - 1
     assert np.abs(first - expected).max() <= 1
 
@@ -165,8 +165,8 @@ def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
 def test_the_momentum_observer_takes_an_encoder_fault_for_a_torque(config):
     """A documented inability: one channel for two kinds of fault."""
     trace = run(of(config, "momentum"), "sensor")
-    assert set(np.unique(trace.out.verdict)) == {0, ACTUATOR}
-    assert (trace.out.verdict[20] == ACTUATOR).all()
+    assert set(np.unique(trace.out.verdict)) == {0, Verdict.ACTUATOR}
+    assert (trace.out.verdict[20] == Verdict.ACTUATOR).all()
     assert not np.any(trace.out.fault_q_hat) and not np.any(trace.out.residual_q)
 
 

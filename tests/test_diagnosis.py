@@ -86,7 +86,7 @@ def test_torque_alarm_needs_persistence_and_keeps_through_a_dip(two):
     s[60:65, 0] = 0.1  # shorter than release_ticks, but later than a kick would be
     two = dataclasses.replace(two, kick_ticks=0)
     verdict = judge(two, s)
-    assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.types.ACTUATOR
+    assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.Verdict.ACTUATOR
     assert (verdict[12:159, 0] == 1).all() and (verdict[160:, 0] == 0).all() and (verdict[:, 1] == 0).all()
 
 
@@ -103,7 +103,7 @@ def test_hysteresis(two):
 
 def test_encoder_alarm_is_immediate_and_both_bits_make_both(two):
     verdict = judge(two, pulse(60, 10, 60), s_q=pulse(60, 5, 60))
-    assert verdict[5, 0] == jaxftc.types.SENSOR and (verdict[12:, 0] == jaxftc.types.BOTH).all()
+    assert verdict[5, 0] == jaxftc.Verdict.SENSOR and (verdict[12:, 0] == jaxftc.Verdict.BOTH).all()
 
 
 def test_a_statistic_ahead_of_its_residual_makes_no_kick(two):
