@@ -21,6 +21,7 @@ from jaxftc.scenarios.preset import Preset as Preset
 from jaxftc.scenarios.preset_file import load_preset as load_preset
 from jaxftc.scenarios.sample import sample_scenarios as sample_scenarios
 from jaxftc.scenarios.scenario import Scenario as Scenario
+from jaxftc.scenarios.scenario import healthy_scenario as healthy_scenario
 from jaxftc.scenarios.scenario import paper_scenario as paper_scenario
 from jaxftc.scenarios.scenario import trail as trail
 from jaxftc.schemes.cascade import State as State
