@@ -261,7 +261,7 @@ def test_an_optimiser_of_ones_own_makes_the_steps_of_the_built_in_one(arm, scena
     result = run(arm, scenarios, settings=own(), folder=tmp_path)
     same(result.gains, tuned[0].gains)
     same(run(arm, scenarios, settings=own(), folder=tmp_path).gains, result.gains)  # made anew it does the same
-    with pytest.raises(ValueError, match="another run: its settings differ .*optimizer 'own"):
+    with pytest.raises(ValueError, match=r"another run: its settings differ .*optimizer 'own"):
         run(arm, scenarios, settings=own(eps=1e-3), folder=tmp_path)
 
 
@@ -308,9 +308,9 @@ def test_weights_of_terms(arm):
     assert {n for n in OBJECTIVE if changed[n] != OBJECTIVE[n]} == {"delay", "effort"}
     assert (changed["delay"].weight, changed["effort"].weight) == (3.0, 0.0)
     assert changed["delay"].value is OBJECTIVE["delay"].value
-    with pytest.raises(ValueError, match="weight must be one of 'fault_tau'.* got 'dely'; did you mean 'delay'"):
+    with pytest.raises(ValueError, match=r"weight must be one of 'fault_tau'.* got 'dely'; did you mean 'delay'"):
         terms.weighted(OBJECTIVE, {"dely": 3.0})
-    with pytest.raises(ValueError, match="the weight of delay must be finite and not negative, got -1.0"):
+    with pytest.raises(ValueError, match=r"the weight of delay must be finite and not negative, got -1.0"):
         terms.weighted(OBJECTIVE, {"delay": -1.0})
 
 
