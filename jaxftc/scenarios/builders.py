@@ -8,7 +8,7 @@ with a leading axis. They may be traced; ``joint`` may not.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 
 from jaxftc import checks
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.types import Array
 
 if TYPE_CHECKING:
     from jaxftc.scenarios.scenario import Scenario
@@ -107,7 +108,7 @@ def _with(
     onset: ArrayLike,
     law: Law,
 ) -> Scenario:
-    axes, shape = jnp.shape(scenario.id), jnp.shape(scenario.q_start)
+    axes, shape = np.shape(scenario.id), np.shape(scenario.q_start)
     if shape[:-1] != axes:
         raise ValueError(
             "faults are given to one scenario or to a set with a leading axis, "
@@ -118,9 +119,10 @@ def _with(
         raise ValueError(f"joint must be 1 to {shape[-1]}, got {joint}")
     for name in law:
         checks.one_of("the law of a fault", name, tuple(Law.__annotations__))
-    times = {"clear": math.inf, "rise": 0.0, "period": math.inf, "duty": 1.0} | law
+    times: dict[str, Any] = {"clear": math.inf, "rise": 0.0, "period": math.inf, "duty": 1.0, **law}
     checks.finite("magnitude", magnitude, "it is the size of the fault in the kind's unit")
     checks.finite("onset", onset, "it is when the fault comes, in s")
+    checks.finite("rise", times["rise"], "it is how long the fault grows, in s")
     for name, low, high in (("onset", 0.0, math.inf), ("rise", 0.0, math.inf), ("duty", 0.0, 1.0)):
         _require(name, onset if name == "onset" else times[name], low, high)
     _require("clear", times["clear"], onset, math.inf, "be later than the onset", above=True)
@@ -130,10 +132,10 @@ def _with(
     return scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
 
 
-def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[int, ...]) -> jnp.ndarray:
+def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[int, ...]) -> Array:
     """A leaf [..., n] with another value of a joint."""
-    if jnp.shape(value) not in ((), axes):
-        raise ValueError(f"{name} must be a number or have shape {list(axes)}, got {list(jnp.shape(value))}")
+    if np.shape(value) not in ((), axes):
+        raise ValueError(f"{name} must be a number or have shape {list(axes)}, got {list(np.shape(value))}")
     leaf = jnp.asarray(leaf)
     return leaf.at[..., joint - 1].set(jnp.asarray(value, leaf.dtype))
 

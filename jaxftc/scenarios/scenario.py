@@ -93,8 +93,8 @@ def healthy_scenario(
 
 
 def _angles(name: str, value: ArrayLike, n: int) -> Array:
-    if jnp.shape(value) != (n,):
-        raise ValueError(f"{name} must have shape [{n}], an angle in rad a joint, got {list(jnp.shape(value))}")
+    if np.shape(value) != (n,):
+        raise ValueError(f"{name} must have shape [{n}], an angle in rad a joint, got {list(np.shape(value))}")
     checks.finite(name, value, "angles are in rad")
     return jnp.asarray(value, float)
 
