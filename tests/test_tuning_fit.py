@@ -282,7 +282,8 @@ def test_gains_beyond_a_limit_are_never_chosen(arm, scenarios, method, tmp_path)
     free = run(arm, scenarios, **options)
     assert free.gains.control.lam[0] > 25.0 and free.within_limits and free.limits == {}
     held = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
-    assert 20.0 < held.gains.control.lam[0] <= 25.0 and held.within_limits
+    assert held.gains.control.lam[0] <= 25.0 and held.within_limits
+    assert held.best_step > 0 or method == "random"  # the search follows the loss alone, and may step over the limit
     assert held.validation["lam"] == pytest.approx((20.0, float(held.gains.control.lam[0])))
     again = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
     same((again.gains, again.validation), (held.gains, held.validation))
