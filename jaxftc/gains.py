@@ -162,7 +162,7 @@ class Gains:
             block, name = path.split(".")
             blocks.setdefault(block, {})[name] = _filled(path, value, getattr(getattr(self, block), name))
         changed = {block: dataclasses.replace(getattr(self, block), **values) for block, values in blocks.items()}
-        return dataclasses.replace(self, **changed)
+        return Gains(**{block: changed.get(block, getattr(self, block)) for block in BLOCKS})
 
 
 BLOCKS = {
