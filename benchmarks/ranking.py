@@ -128,8 +128,8 @@ def _curves(config: Config, gains: Gains, scenarios: Scenario, key: Array, batch
     name = SWITCHING[config.control]
     curves = []
     for factor in SWEEP:
-        control = dataclasses.replace(gains.control, **{name: factor * getattr(gains.control, name)})
-        curves.append(_error(problem.scores(dataclasses.replace(gains, control=control), scenarios)))
+        scaled = gains.replace({f"control.{name}": factor * getattr(gains.control, name)})
+        curves.append(_error(problem.scores(scaled, scenarios)))
     return np.stack(curves, axis=1) * np.array([CHATTERING, np.rad2deg(TRACKING)])[:, None, None]
 
 

@@ -11,7 +11,6 @@ Engine "chain" and 0.3 s of motion keep it short; most of the time goes into com
 # of threads in every tick.
 
 import copy
-import dataclasses
 import os
 import tempfile
 from pathlib import Path
@@ -83,15 +82,14 @@ print(f"encoder of joint 2: verdict {jumped.out.verdict[160]}, estimated {angle:
 # 4. Thresholds
 #
 # An alarm is a statistic that reaches its threshold. Ten times smaller ones alarm
-# without a fault, twenty times larger ones miss what is there. Gains are frozen
-# dataclasses: replace() makes others.
+# without a fault, twenty times larger ones miss what is there. Gains are frozen:
+# replace() makes others.
 
 
 def with_thresholds(gains, factor):
     """The gains with all torque thresholds times a factor."""
     alpha_tau = factor * gains.diagnosis.alpha_tau
-    diagnosis = dataclasses.replace(gains.diagnosis, alpha_tau=alpha_tau)
-    return dataclasses.replace(gains, diagnosis=diagnosis)
+    return gains.replace({"diagnosis.alpha_tau": alpha_tau})
 
 
 for factor, condition in ((0.1, "healthy"), (20.0, "actuator")):
@@ -107,8 +105,7 @@ for factor, condition in ((0.1, "healthy"), (20.0, "actuator")):
 # A file of gains says the unit of every number, and which arm, sample time and orders
 # they belong to.
 
-control = dataclasses.replace(gains.control, lam=1.5 * gains.control.lam)
-steeper = dataclasses.replace(gains, control=control)
+steeper = gains.replace({"control.lam": 1.5 * gains.control.lam})
 
 jaxftc.save_gains(folder / "gains.toml", steeper, config)
 steeper = jaxftc.load_gains(folder / "gains.toml", config)
@@ -129,8 +126,7 @@ for name, some in (("default", gains), ("steeper surface", steeper)):
 
 def torque_error(alpha_i):
     """Mean square error of the torque-fault estimate, (N m)^2, by integral gains [n]."""
-    observer = dataclasses.replace(gains.observer, alpha_i=alpha_i)
-    some = dataclasses.replace(gains, observer=observer)
+    some = gains.replace({"observer.alpha_i": alpha_i})
     trace = jaxftc.simulate(config, some, scenario, jax.random.key(0))
     return jnp.mean((trace.out.fault_tau_hat - trace.fault_tau) ** 2)
 

@@ -26,19 +26,28 @@ _ROOMS = {
     "scenarios.preset": ("Preset",),
     "scenarios.preset_file": ("load_preset",),
     "scenarios.sample": ("sample_scenarios",),
-    "scenarios.scenario": ("Scenario", "paper_scenario", "trail"),
+    "scenarios.scenario": ("Scenario", "healthy_scenario", "paper_scenario", "trail"),
     "gains": ("Gains",),
     "gains_file": ("load_gains", "save_gains"),
     "campaigns.calibrate": ("calibrate",),
     "campaigns.run": ("campaign",),
     "schemes.registry": ("init", "step"),
     "schemes.realtime": ("Tick",),
-    "types": ("VERDICTS", "Measurement", "Output", "Reference"),
+    "types": ("Measurement", "Output", "Reference", "Verdict"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
+_MODULES = {  # public modules, and what is imported for them; of a room also the module that the docs reach through it
+    "identify": "identify",
+    "logs": "logs",
+    "metrics": "evaluation.metrics",
+    "observer": "observer.stability",
+}
 
 
 def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        module = importlib.import_module(f"jaxftc.{_MODULES[name]}")
+        return globals().setdefault(name, module)  # importing has set the name of a room
     if name not in _HOME:
         raise AttributeError(f"module 'jaxftc' has no attribute {name!r}")
     value = getattr(importlib.import_module(f"jaxftc.{_HOME[name]}"), name)
@@ -47,4 +56,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return ["__version__", *sorted(_HOME)]
+    return ["__version__", *sorted([*_HOME, *_MODULES])]

@@ -1,8 +1,12 @@
 # The public names for type checkers; __init__.py loads them on first use.
+from jaxftc import identify as identify
+from jaxftc import logs as logs
+from jaxftc import observer as observer
 from jaxftc.campaigns.calibrate import calibrate as calibrate
 from jaxftc.campaigns.run import campaign as campaign
 from jaxftc.compile.xla import configure_xla as configure_xla
 from jaxftc.config import Config as Config
+from jaxftc.evaluation import metrics as metrics
 from jaxftc.gains import Gains as Gains
 from jaxftc.gains_file import load_gains as load_gains
 from jaxftc.gains_file import save_gains as save_gains
@@ -17,6 +21,7 @@ from jaxftc.scenarios.preset import Preset as Preset
 from jaxftc.scenarios.preset_file import load_preset as load_preset
 from jaxftc.scenarios.sample import sample_scenarios as sample_scenarios
 from jaxftc.scenarios.scenario import Scenario as Scenario
+from jaxftc.scenarios.scenario import healthy_scenario as healthy_scenario
 from jaxftc.scenarios.scenario import paper_scenario as paper_scenario
 from jaxftc.scenarios.scenario import trail as trail
 from jaxftc.schemes.cascade import State as State
@@ -26,8 +31,8 @@ from jaxftc.schemes.registry import init as init
 from jaxftc.schemes.registry import step as step
 from jaxftc.simulation.closed_loop import Trace as Trace
 from jaxftc.simulation.closed_loop import simulate as simulate
-from jaxftc.types import VERDICTS as VERDICTS
 from jaxftc.types import Measurement as Measurement
 from jaxftc.types import Output as Output
 from jaxftc.types import Reference as Reference
+from jaxftc.types import Verdict as Verdict
 from jaxftc.version import __version__ as __version__

@@ -19,8 +19,9 @@ def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
     """Refuse a word that is not on the list, and say which one was probably meant."""
     if value in allowed:
         return
-    near = difflib.get_close_matches(str(value), allowed, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else ""
+    near = [word for word in allowed if word.rpartition(".")[2] == value]  # of block.name the bare name
+    near = near or difflib.get_close_matches(str(value), allowed, n=1)
+    hint = f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
     raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}{hint}")
 
 

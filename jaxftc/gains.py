@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import ArrayLike
 
+from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
@@ -138,6 +140,30 @@ class Gains:
     control: ControlGains
     baseline: BaselineGains
 
+    def replace(self, changes: Mapping[str, ArrayLike]) -> Gains:
+        """Gains with some of them changed: ``gains.replace({"control.lam": 30.0})``.
+
+        It can be traced: the new values may depend on what ``jax.grad`` or ``jax.vmap`` is over. Limits are checked where
+        the gains are used.
+
+        Args:
+            changes: New values in the gain's unit, by block and name. A number counts for every joint, set or function; an
+                array has the gain's own axes, each as long as the gain's or 1, and may have scenario axes behind them.
+
+        Returns:
+            Other gains; the dtype of each is kept.
+
+        Raises:
+            ValueError: an unknown name, or a shape that the gain cannot take.
+        """
+        blocks: dict[str, dict[str, Array]] = {}
+        for path, value in changes.items():
+            checks.one_of("gain", path, NAMES)
+            block, name = path.split(".")
+            blocks.setdefault(block, {})[name] = _filled(path, value, getattr(getattr(self, block), name))
+        changed = {block: dataclasses.replace(getattr(self, block), **values) for block, values in blocks.items()}
+        return Gains(**{block: changed.get(block, getattr(self, block)) for block in BLOCKS})
+
 
 BLOCKS = {
     "arx": ArxGains,
@@ -146,7 +172,12 @@ BLOCKS = {
     "control": ControlGains,
     "baseline": BaselineGains,
 }
+NAMES = tuple(f"{block}.{field.name}" for block, cls in BLOCKS.items() for field in dataclasses.fields(cls))
 INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
+
+
+def _spec(block: str, name: str) -> Spec:
+    return BLOCKS[block].__dataclass_fields__[name].metadata["spec"]
 
 
 def specs() -> Iterator[tuple[str, str, Spec]]:
@@ -171,6 +202,19 @@ def build(config: Config, values: dict[str, dict[str, Any]]) -> Gains:
     gains = Gains(**blocks)
     check(config, gains)
     return gains
+
+
+def _filled(path: str, value: ArrayLike, old: Array) -> Array:
+    """A new value of a gain in the shape [own axes, ...] and the dtype of the old one."""
+    block, name = path.split(".")
+    own = jnp.shape(old)[: len(_spec(block, name).axes)]
+    new = jnp.asarray(value, jnp.result_type(old))
+    axes = new.shape[: len(own)]
+    if new.ndim and (len(axes) < len(own) or any(a not in (1, b) for a, b in zip(axes, own, strict=True))):
+        raise ValueError(
+            f"{path} must be a number or have shape {list(own)}, scenario axes behind that, got {list(new.shape)}"
+        )
+    return jnp.broadcast_to(new, (*own, *new.shape[len(own) :]))
 
 
 def align(gains: Gains, axes: int) -> Gains:

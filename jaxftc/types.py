@@ -8,14 +8,30 @@ first, any trailing axes are scenarios. Units are rad, N m, s and kg throughout.
 
 from __future__ import annotations
 
+from enum import IntFlag
 from typing import NamedTuple
 
 import jax
 
 Array = jax.Array
 
-NORMAL, ACTUATOR, SENSOR, BOTH = range(4)
-VERDICTS = ("normal", "actuator", "sensor", "both")
+
+class Verdict(IntFlag):
+    """What is said of a joint, Eq. (18); arrays hold its number."""
+
+    NORMAL = 0
+    ACTUATOR = 1
+    SENSOR = 2
+    BOTH = 3
+
+    @property
+    def label(self) -> str:
+        """Its name in files: normal, actuator, sensor or both."""
+        return LABELS[self]
+
+
+LABELS = ("normal", "actuator", "sensor", "both")  # of the verdicts 0 to 3
+ACTUATOR, SENSOR = Verdict.ACTUATOR, Verdict.SENSOR  # as the schemes import them
 
 
 class Reference(NamedTuple):
@@ -58,7 +74,7 @@ class Output(NamedTuple):
     statistic_q: Array  # [n, ...] rad
     threshold_tau: Array  # [n, ...] N m
     threshold_q: Array  # [n, ...] rad
-    verdict: Array  # [n, ...] int32: 0 normal, 1 actuator, 2 sensor, 3 both, Eq. (18)
+    verdict: Array  # [n, ...] int32, a Verdict's number, Eq. (18)
     detected: Array  # [...] bool, any joint not normal, Eq. (17)
     suspect: Array  # [n, ...] 1 where the sensor check holds the reading to be wrong, else 0
     q_hat: Array  # [n, ...] rad, encoder reading less its estimated fault

@@ -25,7 +25,7 @@ def name_of(path: Path) -> str:
 
 
 MODULES = {name_of(path): path for floor in FLOORS[:3] for path in sorted((ROOT / floor).rglob("*.py"))}
-OURS = {name: path for name, path in MODULES.items() if name.split(".")[0] == "jaxftc"}
+OURS = {name: path for name, path in MODULES.items() if name.split(".")[0] == "jaxftc" and path.stem != "__main__"}
 
 
 def targets(node: ast.Import | ast.ImportFrom) -> set[str]:
@@ -149,11 +149,13 @@ def test_no_cycle_of_imports():
 @pytest.mark.parametrize("package", [jaxftc, tuning], ids=lambda package: package.__name__)
 def test_type_checkers_and_python_see_the_same_public_names(package):
     name, version = package.__name__, {("__version__", "jaxftc.version")} if package is jaxftc else set()
+    modules = {("metrics", "jaxftc.evaluation")} | {(room, "jaxftc") for room in ("identify", "logs", "observer")}
+    modules = modules if package is jaxftc else set()
     stub = ast.parse((ROOT / name / "__init__.pyi").read_text())
     nodes = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
     seen = {(alias.asname, node.module) for node in nodes for alias in node.names}
-    assert seen == {(public, f"{name}.{room}") for public, room in package._HOME.items()} | version
-    assert dir(package) == sorted([*(public for public, _ in version), *package._HOME])
+    assert seen == {(public, f"{name}.{room}") for public, room in package._HOME.items()} | version | modules
+    assert dir(package) == sorted([*(public for public, _ in version | modules), *package._HOME])
     for public, room in package._HOME.items():
         assert getattr(package, public) is getattr(importlib.import_module(f"{name}.{room}"), public)
 
@@ -188,6 +190,22 @@ def test_importing_the_package_loads_neither_jax_nor_mujoco():
     assert not {"jax", "jaxlib", "mujoco", "numpy", "scipy"} & set(loaded)
 
 
+def test_modules_are_there_after_importing_the_package():
+    program = """
+import sys, jaxftc
+assert jaxftc.observer.stability.spectral_radius and jaxftc.identify.fit_batch and jaxftc.logs.read
+assert jaxftc.metrics is jaxftc.metrics is sys.modules["jaxftc.evaluation.metrics"]
+print(set(jaxftc._MODULES) <= set(dir(jaxftc)))
+"""
+    assert python(program) == "True\n"
+
+
+def test_python_m_is_the_command():
+    assert python("import runpy, sys; sys.argv[1:] = ['--version']; runpy.run_module('jaxftc', run_name='__main__')") == (
+        f"jaxftc {jaxftc.__version__}\n"
+    )
+
+
 def test_importing_every_module_and_running_both_engines_changes_no_jax_setting_and_prints_nothing():
     program = """
 import importlib, json, jax
@@ -201,5 +219,4 @@ arm, run = compile_robot("arm", serial(2)), jax.jit(jaxftc.forward_dynamics, sta
 for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engine)
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))
 """
-    names = [name for name in OURS if not name.endswith("__main__")]
-    assert json.loads(python(program.replace("NAMES", repr(names)))) == {}
+    assert json.loads(python(program.replace("NAMES", repr(list(OURS))))) == {}

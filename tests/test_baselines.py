@@ -17,7 +17,7 @@ from jaxftc.robot.model import compile_robot
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.schemes import ekf, momentum, registry
-from jaxftc.types import ACTUATOR
+from jaxftc.types import Verdict
 from tests.arms import three_hinges
 from tests.twins import printed
 from tuning import transform
@@ -25,17 +25,6 @@ from tuning import transform
 BASELINES = [scheme for scheme in SCHEMES if scheme != "cascade"]
 N, RATE = 6, 120.0
 SMALL = jaxftc.Config(three_hinges(), engine="chain")
-
-
-def replaced(gains: jaxftc.Gains, **values: float) -> jaxftc.Gains:
-    """Gains with others, named block_name, alike on all joints."""
-    for path, value in values.items():
-        block, _, name = path.partition("_")
-        part = getattr(gains, block)
-        gains = dataclasses.replace(
-            gains, **{block: dataclasses.replace(part, **{name: jnp.full_like(getattr(part, name), value)})}
-        )
-    return gains
 
 
 def hinge(damping: float = 0.0) -> jaxftc.Robot:
@@ -54,7 +43,7 @@ def quiet(config: jaxftc.Config, condition: str, **change: float) -> jaxftc.Scen
 
 @functools.cache
 def run(config: jaxftc.Config, condition: str) -> jaxftc.Trace:
-    gains = replaced(jaxftc.default_gains(config), baseline_speed_weight=1.0, baseline_rate=RATE)
+    gains = jaxftc.default_gains(config).replace({"baseline.speed_weight": 1.0, "baseline.rate": RATE})
     return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, quiet(config, condition), jax.random.key(0)))
 
 
@@ -168,7 +157,7 @@ def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
     trace = run(of(config, "momentum"), "actuator")
     np.testing.assert_allclose(trace.out.residual_tau, low_passed(trace.fault_tau, config.dt), atol=0.25)
     np.testing.assert_array_equal(trace.out.residual_tau, trace.out.fault_tau_hat)
-    first = np.argmax(trace.out.verdict == ACTUATOR, axis=0)  # 2 of 5 N m, and two more ticks
+    first = np.argmax(trace.out.verdict == Verdict.ACTUATOR, axis=0)  # 2 of 5 N m, and two more ticks
     expected = 10 + int(np.ceil(-np.log(1 - 2 / 5) / RATE / config.dt)) + config.alarm_ticks - 1
     assert np.abs(first - expected).max() <= 1
 
@@ -176,8 +165,8 @@ def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
 def test_the_momentum_observer_takes_an_encoder_fault_for_a_torque(config):
     """A documented inability: one channel for two kinds of fault."""
     trace = run(of(config, "momentum"), "sensor")
-    assert set(np.unique(trace.out.verdict)) == {0, ACTUATOR}
-    assert (trace.out.verdict[20] == ACTUATOR).all()
+    assert set(np.unique(trace.out.verdict)) == {0, Verdict.ACTUATOR}
+    assert (trace.out.verdict[20] == Verdict.ACTUATOR).all()
     assert not np.any(trace.out.fault_q_hat) and not np.any(trace.out.residual_q)
 
 
@@ -322,7 +311,7 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
 
 def test_the_printed_super_twisting_is_the_papers(config):
     config = dataclasses.replace(config, sign="hard")
-    gains = align(replaced(jaxftc.default_gains(config), observer_alpha_sm0=20.0), 0)
+    gains = align(jaxftc.default_gains(config).replace({"observer.alpha_sm0": 20.0}), 0)
     state, errors = super_twisting.State(jnp.zeros(N)), np.random.default_rng(3).normal(size=(5, N)) * 1e-3
     late = np.zeros(N)
     for e in errors:
@@ -335,7 +324,7 @@ def test_the_printed_super_twisting_is_the_papers(config):
 def test_the_printed_observer_runs_the_printed_equation(config):
     """With the correction weight 1 and no integral the innovation follows from the reading, so psi can be replayed."""
     config = dataclasses.replace(config, observer="eso_printed", sign="hard")
-    gains = replaced(jaxftc.default_gains(config), observer_alpha_i=0.0)
+    gains = jaxftc.default_gains(config).replace({"observer.alpha_i": 0.0})
     scenario = jaxftc.paper_scenario("healthy", config)
     out = jaxftc.simulate(config, gains, scenario, jax.random.key(0)).out
     errors, psi = np.asarray(out.residual_q), []

@@ -170,7 +170,7 @@ def test_a_run_that_diverged_has_a_huge_error_not_none():
 
 def test_surfaces_of_known_shape(config):
     gains = jaxftc.default_gains(config)
-    flat = dataclasses.replace(gains, control=dataclasses.replace(gains.control, outputs=np.full(3, 1.5)))
+    flat = gains.replace({"control.outputs": 1.5})
     assert ranking.surface(config, flat).lowest == pytest.approx(1.5) == ranking.surface(config, flat).highest
     by_s = ranking.surface(dataclasses.replace(config, rules="s_only"), gains)
     assert by_s.by_s == pytest.approx(1.0) and by_s.by_q == pytest.approx(0.0, abs=1e-12)

@@ -22,7 +22,7 @@ from jaxftc.observer import cascade, pi, super_twisting, takagi_sugeno
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.scenarios.scenario import CONDITIONS
-from jaxftc.types import SENSOR
+from jaxftc.types import Verdict
 from tests.arms import three_hinges
 
 N, ALL = three_hinges().n, tuple(range(6))  # joints: of the arm of the contract; of the PUMA, which the rest runs on
@@ -354,7 +354,7 @@ def test_readings_that_never_come_leave_everything_finite(config, log):
     out = diagnose(config, jaxftc.default_gains(config), altered(log, slice(1, None), q=np.nan))
     chex.assert_tree_all_finite(out)
     assert np.abs(out.residual_q[1:]).max() < 1e-9
-    assert (out.verdict[-1] == SENSOR).all()
+    assert (out.verdict[-1] == Verdict.SENSOR).all()
     assert np.abs(out.q_hat - log.measurement.q).max() < 5e-3
 
 

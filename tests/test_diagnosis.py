@@ -82,7 +82,7 @@ def test_torque_alarm_needs_persistence_and_keeps_through_a_dip(two):
     s[60:65, 0] = 0.1  # shorter than release_ticks, but later than a velocity transient would be
     two = dataclasses.replace(two, transient_ticks=0)
     verdict = judge(two, s)
-    assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.types.ACTUATOR
+    assert verdict[:12, 0].max() == 0 and verdict[12, 0] == jaxftc.Verdict.ACTUATOR
     assert (verdict[12:159, 0] == 1).all() and (verdict[160:, 0] == 0).all() and (verdict[:, 1] == 0).all()
 
 
@@ -99,7 +99,7 @@ def test_hysteresis(two):
 
 def test_encoder_alarm_is_immediate_and_both_bits_make_both(two):
     verdict = judge(two, pulse(60, 10, 60), s_q=pulse(60, 5, 60))
-    assert verdict[5, 0] == jaxftc.types.SENSOR and (verdict[12:, 0] == jaxftc.types.BOTH).all()
+    assert verdict[5, 0] == jaxftc.Verdict.SENSOR and (verdict[12:, 0] == jaxftc.Verdict.BOTH).all()
 
 
 def test_a_statistic_ahead_of_its_residual_makes_no_velocity_transient(two):
@@ -196,10 +196,8 @@ def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     padded = (cases * 2)[:ROBUST]  # a batch of the same size as in the test below: one program
     batch = trail(stack([encoder_fault(config, kind, size) for kind, size in padded]))
     gains = jaxftc.default_gains(config)
-    tight = dataclasses.replace(gains.diagnosis, alpha_q=jnp.full(6, np.deg2rad(0.02)))
-    verdict = metrics.columns(
-        jaxftc.simulate(config, dataclasses.replace(gains, diagnosis=tight), batch, jax.random.key(0))
-    )["verdict"]
+    tight = gains.replace({"diagnosis.alpha_q": np.deg2rad(0.02)})
+    verdict = metrics.columns(jaxftc.simulate(config, tight, batch, jax.random.key(0)))["verdict"]
     for c, (kind, size) in enumerate(cases):
         first = np.flatnonzero(verdict[:, :, c].any(1))[0]
         assert first >= 100, (kind, size)

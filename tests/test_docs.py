@@ -227,7 +227,8 @@ def default(spec: Spec) -> str:
 def test_the_api_has_every_public_name():
     text = PAGES["api.md"].partition("currentmodule:: tuning")
     for module, part in ((jaxftc, text[0]), (tuning, text[2])):
-        missing = [name for name in dir(module) if name[0] != "_" and not re.search(rf":: {name}$", part, re.MULTILINE)]
+        names = set(dir(module)) - set(getattr(module, "_MODULES", ()))
+        missing = [name for name in names if name[0] != "_" and not re.search(rf":: {name}$", part, re.MULTILINE)]
         assert not missing
 
 

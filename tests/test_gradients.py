@@ -1,6 +1,5 @@
 """Gradients of a closed-loop run in every gain, against finite differences and at every kink."""
 
-import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -65,13 +64,8 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
     gains = jaxftc.default_gains(config)
     n = config.n
     floor = jnp.where(jnp.arange(n) < n / 2, 0.1, 2.9)  # the first joints below it, the last above
-    return dataclasses.replace(
-        gains,
-        control=dataclasses.replace(gains.control, k_b=jnp.ones(n), floor=floor),
-        diagnosis=dataclasses.replace(
-            gains.diagnosis, lam_q=jnp.full(n, 0.7), alpha_q=jnp.full(n, JUMP), lead=jnp.full(n, 1e3)
-        ),
-    )
+    control = {"control.k_b": 1.0, "control.floor": floor}
+    return gains.replace(control | {"diagnosis.lam_q": 0.7, "diagnosis.alpha_q": JUMP, "diagnosis.lead": 1e3})
 
 
 def faulty(config: jaxftc.Config) -> jaxftc.Scenario:

@@ -412,11 +412,7 @@ def calibrated(config, dtype):
     healthy = dataclasses.replace(load_preset("standard"), shares=Shares(healthy=1.0))
     scenarios = jaxftc.trail(draw_all(healthy, config, jax.random.key(20), jnp.arange(500)))
     top = run(config, gains, scenarios, jax.random.key(23))
-    diagnosis = dataclasses.replace(
-        gains.diagnosis,
-        alpha_tau=jnp.asarray(1.2 * np.quantile(top["s_tau"], 1 - 0.01 / 12, axis=1), dtype),
-        alpha_q=jnp.asarray(np.maximum(1.2 * np.quantile(top["s_q"], 1 - 0.01 / 12, axis=1), np.deg2rad(0.01)), dtype),
-    )
-    gains = dataclasses.replace(gains, diagnosis=diagnosis)
+    tau, q = (1.2 * np.quantile(top[name], 1 - 0.01 / 12, axis=1) for name in ("s_tau", "s_q"))
+    gains = gains.replace({"diagnosis.alpha_tau": tau, "diagnosis.alpha_q": np.maximum(q, np.deg2rad(0.01))})
     assert (run(config, gains, scenarios, jax.random.key(24))["verdict"] == 0).all((0, 1)).mean() >= 0.99
     return gains

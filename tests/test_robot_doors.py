@@ -308,6 +308,7 @@ def test_configs_are_refused(puma, change, text):
 
 
 def with_gain(gains: jaxftc.Gains, path: str, value) -> jaxftc.Gains:
+    """Gains with one of any shape, which ``Gains.replace`` would refuse."""
     block, name = path.split(".")
     return dataclasses.replace(gains, **{block: dataclasses.replace(getattr(gains, block), **{name: jnp.asarray(value)})})
 
@@ -346,7 +347,7 @@ def test_gains_are_refused_by_every_door(config, path, value, text):
 
 def test_poles_at_one_would_divide_by_zero_in_the_bank_at_rest(config):
     """The limit that the check guards: at a pole of 1 the settled bank is infinite."""
-    gains = with_gain(jaxftc.default_gains(config), "arx.xi_a", [0.999999] * 6)
+    gains = jaxftc.default_gains(config).replace({"arx.xi_a": 0.999999})
     assert np.isfinite(jaxftc.init(config, gains, np.ones(6)).observer.arx.x_a).all()
 
 
@@ -446,10 +447,8 @@ def gains_file(config, tmp_path) -> Path:
 def test_gains_survive_a_file_bit_for_bit(config, tmp_path):
     draw = np.random.default_rng(0)
     gains = jax.tree.map(lambda x: x * (1 + 1e-3 * draw.uniform(size=x.shape)), jaxftc.default_gains(config))
-    gains = with_gain(gains, "arx.xi_a", draw.uniform(0.5, 0.9, 6))
-    gains = with_gain(gains, "observer.alpha_p", draw.uniform(0.1, 1.0, 6))
-    gains = with_gain(gains, "observer.alpha_f2", draw.uniform(0.1, 1.0, 6))
-    gains = with_gain(gains, "diagnosis.lam_q", draw.uniform(0.1, 1.0, 6))
+    weights = ("observer.alpha_p", "observer.alpha_f2", "diagnosis.lam_q")
+    gains = gains.replace({"arx.xi_a": draw.uniform(0.5, 0.9, 6)} | {name: draw.uniform(0.1, 1.0, 6) for name in weights})
     jaxftc.save_gains(tmp_path / "gains.toml", gains, config)
     read = jaxftc.load_gains(str(tmp_path / "gains.toml"), config)
     chex.assert_trees_all_equal(read, gains)

@@ -6,12 +6,14 @@ import types
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 import jaxftc
 from jaxftc.scenarios.scenario import take
 from tests.arms import three_hinges
-from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search
+from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search, terms
+from tuning.cli import numbers
 from tuning.settings import GRADIENT_COST, round_length
 
 FREE = ["control", "diagnosis", "observer.alpha_p"]
@@ -214,8 +216,13 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
         ({"validation": slice(0)}, "validation must be a set of at least one"),
         ({"scenarios": 0}, r"scenarios must be a set .* got ids of shape \[\]; draw them"),
         ({"objective": {}}, "the objective has no terms"),
+        ({"limits": {"dely": 0.1}}, "the term of a limit must be one of .* did you mean 'delay'"),
+        ({"limits": {"delay": np.nan}}, "the limit of delay must be finite and not negative, got nan"),
         ({"freeze": ["observer", "diagnosis", "control"]}, "every gain is frozen"),
         ({"only": ["control.lamb"]}, "did you mean 'control.lam'"),
+        ({"only": ["lam"]}, "did you mean 'control.lam'"),
+        ({"freeze": ["eps"]}, "did you mean 'control.eps'"),
+        ({"shared": ["alpha_tau"]}, "did you mean 'diagnosis.alpha_tau'"),
         ({"start": jnp.nan}, "control.lam must be finite"),
     ],
 )
@@ -223,9 +230,7 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
     start = None
     if "start" in change:
         gains = jaxftc.default_gains(arm)
-        start = dataclasses.replace(
-            gains, control=dataclasses.replace(gains.control, lam=jnp.full(arm.n, change.pop("start")))
-        )
+        start = gains.replace({"control.lam": change.pop("start")})
     some = take(scenarios, change.pop("scenarios", slice(None)))
     if "validation" in change:
         change["validation"] = take(scenarios, change["validation"])
@@ -243,11 +248,78 @@ def test_bad_input_is_refused(arm, scenarios, change, message):
         ("anneal", (1.0, 0.0), "anneal must be two positive factors"),
         ("patience", 2.0, "patience must be a share of the steps, at most 1, got 2.0"),
         ("optimizer", "adm", "did you mean 'adam'"),
+        ("optimizer", 3, "optimizer must be one of 'adam', 'lion', 'sgd', got 3"),
     ],
 )
 def test_settings_are_checked(field, value, message):
     with pytest.raises(ValueError, match=message):
         Settings(**{field: value}).check()
+
+
+def test_an_optimiser_of_ones_own_makes_the_steps_of_the_built_in_one(arm, scenarios, tuned, tmp_path):
+    own = lambda **more: dataclasses.replace(SMALL, optimizer=optax.adam(1.0, b2=0.99, **more))  # noqa: E731
+    result = run(arm, scenarios, settings=own(), folder=tmp_path)
+    same(result.gains, tuned[0].gains)
+    same(run(arm, scenarios, settings=own(), folder=tmp_path).gains, result.gains)  # made anew it does the same
+    with pytest.raises(ValueError, match=r"another run: its settings differ .*optimizer 'own"):
+        run(arm, scenarios, settings=own(eps=1e-3), folder=tmp_path)
+
+
+def away(r):
+    return 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.5).mean(0)
+
+
+def lam(r):
+    return r.gains.control.lam.mean(0)
+
+
+@pytest.mark.parametrize("method", ["gradient", "random"])
+def test_gains_beyond_a_limit_are_never_chosen(arm, scenarios, method, tmp_path):
+    """The objective wants lam = 33, the limit says 25."""
+    objective = {"away": Term(1.0, away, True), "lam": Term(0.0, lam, True)}
+    settings = dataclasses.replace(SMALL, method=method, steps=40, learning_rate=0.05, patience=1.0)
+    options = {"settings": settings, "objective": objective, "only": ["control.lam"], "shared": ["control"]}
+    free = run(arm, scenarios, **options)
+    assert free.gains.control.lam[0] > 25.0 and free.within_limits and free.limits == {}
+    held = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
+    assert held.gains.control.lam[0] <= 25.0 and held.within_limits
+    assert held.best_step > 0 or method == "random"  # the search follows the loss alone, and may step over the limit
+    assert held.validation["lam"] == pytest.approx((20.0, float(held.gains.control.lam[0])))
+    again = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
+    same((again.gains, again.validation), (held.gains, held.validation))
+    with pytest.raises(ValueError, match="another run: its limits differ"):
+        run(arm, scenarios, limits={"lam": 24.0}, folder=tmp_path, **options)
+
+
+def test_a_start_beyond_a_limit_gives_way_to_the_first_gains_within(arm, scenarios):
+    """They are chosen although their loss is higher; where there are none, the start is the answer, and says so."""
+    objective = {"away": Term(1.0, away, True), "lam": Term(0.0, lam, True)}
+    settings = dataclasses.replace(SMALL, steps=20, learning_rate=0.05, patience=1.0)
+    options = {"settings": settings, "objective": objective, "only": ["control.lam"], "shared": ["control"]}
+    start = jaxftc.default_gains(arm).replace({"control.lam": 40.0})
+    within = run(arm, scenarios, start, limits={"lam": 39.0}, **options)
+    assert within.gains.control.lam[0] <= 39.0 and within.within_limits
+    none = run(arm, scenarios, start, limits={"lam": 1.0}, **options)
+    same(none.gains, start)
+    assert not none.within_limits and none.best_step == 0 and np.isinf(none.history["best"]).all()
+
+
+def test_weights_of_terms(arm):
+    changed = terms.weighted(OBJECTIVE, {"delay": 3.0, "effort": 0})
+    assert {n for n in OBJECTIVE if changed[n] != OBJECTIVE[n]} == {"delay", "effort"}
+    assert (changed["delay"].weight, changed["effort"].weight) == (3.0, 0.0)
+    assert changed["delay"].value is OBJECTIVE["delay"].value
+    with pytest.raises(ValueError, match=r"weight must be one of 'fault_tau'.* got 'dely'; did you mean 'delay'"):
+        terms.weighted(OBJECTIVE, {"dely": 3.0})
+    with pytest.raises(ValueError, match=r"the weight of delay must be finite and not negative, got -1.0"):
+        terms.weighted(OBJECTIVE, {"delay": -1.0})
+
+
+def test_words_of_the_command_line_name_a_term_and_a_number():
+    assert numbers("--weight", ("delay=3", "tracking=0.5")) == {"delay": 3.0, "tracking": 0.5}
+    for words, text in ((("delay",), "with a number each, such as delay=3, got 'delay'"), (("a=1", "a=2"), "'a' twice")):
+        with pytest.raises(ValueError, match=text):
+            numbers("--limit", words)
 
 
 def test_rounds_divide_the_steps():

@@ -1,6 +1,5 @@
 """The gradient of the whole objective in every free gain: reverse, forward and finite differences agree in float64."""
 
-import dataclasses
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -36,7 +35,7 @@ def setup():
     # Close to the edge of stability, where that term has a slope; alpha_f1 and alpha_f3 are alike by default, a kink of
     # their maximum there.
     o = start.observer
-    start = dataclasses.replace(start, observer=dataclasses.replace(o, alpha_i=14 * o.alpha_i, alpha_f3=1.1 * o.alpha_f3))
+    start = start.replace({"observer.alpha_i": 14 * o.alpha_i, "observer.alpha_f3": 1.1 * o.alpha_f3})
     scenarios = trail(stack([faulty(config)._replace(id=jnp.asarray(k, jnp.int32)) for k in range(BATCH)]))
     space = transform.space(config, start, transform.tunable(config))
     whole = Problem(config, OBJECTIVE, jax.random.key(0), BATCH)

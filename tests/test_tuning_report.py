@@ -1,7 +1,5 @@
 """The figures of a tuning run show what they say."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,7 +12,7 @@ from tuning.held_out import Comparison
 def test_loss_figure_has_every_term():
     rows = np.arange(3.0)
     history = {name: rows for name in (*Progress._fields, *(f"term_{name}" for name in OBJECTIVE))}
-    result = Result(None, 2, history, [], "all steps done", 2, 1.0, 2)
+    result = Result(None, 2, history, [], "all steps done", 2, 1.0, 2, {}, {})
     names = {trace.name for trace in report.loss_figure(result).data}
     assert set(OBJECTIVE) <= names and "validation loss" in names
 
@@ -22,10 +20,21 @@ def test_loss_figure_has_every_term():
 def test_gains_figure_shows_what_moved_and_only_that(config):
     before = jaxftc.default_gains(config)
     lam = before.control.lam * jnp.arange(1.0, 7.0)
-    after = dataclasses.replace(before, control=dataclasses.replace(before.control, lam=lam))
+    after = before.replace({"control.lam": lam})
     (dots,) = report.gains_figure(config, before, after).data
     assert set(dots.y) == {"control.lam"} and np.allclose(dots.x, np.arange(1, 7))
     assert dots.text[1] == "control.lam[1]: 20 to 40 1/s"
+
+
+def test_the_gains_that_moved_are_printed_with_their_units(config):
+    before = jaxftc.default_gains(config)
+    kappa = before.arx.kappa_a.at[0, 0].mul(2.0)
+    after = before.replace({"control.lam": np.arange(1.0, 7.0), "control.eps": 0.25, "arx.kappa_a": kappa})
+    kappas, lam, eps = report.moved(before, after)
+    assert " to " in kappas and kappas.split()[0] == "arx.kappa_a"
+    assert lam == "  control.lam              20 -> [1 2 3 4 5 6]  1/s"
+    assert eps == "  control.eps              0.5 -> 0.25  rad/s"
+    assert report.moved(before, before) == []
 
 
 def test_surface_figure_is_table_1(config):

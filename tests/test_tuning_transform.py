@@ -72,7 +72,7 @@ def test_gains_move_by_factors_and_odds(config, start):
 
 
 def test_a_gain_that_starts_at_0_can_move(config, start):
-    still = dataclasses.replace(start, observer=dataclasses.replace(start.observer, alpha_sm0=jnp.zeros(6)))
+    still = start.replace({"observer.alpha_sm0": 0.0})
     space = transform.space(config, still, ["observer.alpha_sm0", "control.k_b"])
     moved = space.gains(jnp.full(space.size, transform.REACH))
     np.testing.assert_allclose(moved.observer.alpha_sm0, 20 * 1e-3 * 30.0)
@@ -81,10 +81,10 @@ def test_a_gain_that_starts_at_0_can_move(config, start):
 
 
 def test_shared_gains_move_alike_from_their_own_values(config, start):
-    own = dataclasses.replace(start.observer, alpha_i=jnp.arange(1.0, 7.0) * 100)
-    space = transform.space(config, dataclasses.replace(start, observer=own), ["observer.alpha_i"], shared=["observer"])
+    own = start.replace({"observer.alpha_i": jnp.arange(1.0, 7.0) * 100})
+    space = transform.space(config, own, ["observer.alpha_i"], shared=["observer"])
     assert space.size == 1
-    np.testing.assert_allclose(space.gains(jnp.ones(1)).observer.alpha_i, np.e * own.alpha_i)
+    np.testing.assert_allclose(space.gains(jnp.ones(1)).observer.alpha_i, np.e * own.observer.alpha_i)
 
 
 def test_poles_move_together_and_the_read_out_follows(config, start):
@@ -96,7 +96,7 @@ def test_poles_move_together_and_the_read_out_follows(config, start):
     np.testing.assert_allclose(gains.arx.kappa_a, kappa_a, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(gains.arx.kappa_b[:, 0], kappa_b, rtol=1e-12)
     assert POLES not in transform.select(config)  # poles are tuned only if named
-    off = dataclasses.replace(start, arx=dataclasses.replace(start.arx, offset=jnp.full(6, 1e-3)))
+    off = start.replace({"arx.offset": 1e-3})
     space = transform.space(config, off, [POLES])
     theta = np.full(space.size, 0.1)
     for path in ("arx.kappa_a", "arx.kappa_b", "arx.offset"):
@@ -169,12 +169,12 @@ def test_poles_of_the_torque_form_cannot_be_tuned(config):
 
 
 def test_poles_that_differ_cannot_be_tuned(config, start):
-    apart = dataclasses.replace(start, arx=dataclasses.replace(start.arx, xi_b=0.5 * start.arx.xi_b))
+    apart = start.replace({"arx.xi_b": 0.5 * start.arx.xi_b})
     with pytest.raises(ValueError, match="tuned where both banks have the same pole"):
         transform.space(config, apart, [POLES])
 
 
 def test_gains_with_scenario_axes_are_no_start(config, start):
-    swept = dataclasses.replace(start.observer, alpha_i=jnp.ones((6, 3)))
+    swept = start.replace({"observer.alpha_i": jnp.ones((1, 3))})
     with pytest.raises(ValueError, match="tuning starts from one set of gains"):
-        transform.space(config, dataclasses.replace(start, observer=swept), ["control"])
+        transform.space(config, swept, ["control"])

@@ -17,7 +17,7 @@ from jaxftc.cli.main import main, parse
 from jaxftc.cli.view import View
 from jaxftc.io import trace_file
 from jaxftc.report.figures import COLOURS
-from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
+from jaxftc.types import Verdict
 from jaxftc.view import film, looks, offscreen, replay, scene, stage, window
 from jaxftc.view.replay import ALARM, DETECTED, FAULT, HEALTHY
 
@@ -43,8 +43,8 @@ def run(joints: int = 6) -> dict[str, np.ndarray]:
     third = min(2, joints - 1)
     columns["q"][10:30, third] += 0.1
     columns["fault_tau"][10:30, third] = 5.0
-    columns["verdict"][15:33, third] = ACTUATOR
-    columns["verdict"][36:, 0] = SENSOR
+    columns["verdict"][15:33, third] = Verdict.ACTUATOR
+    columns["verdict"][36:, 0] = Verdict.SENSOR
     return columns
 
 
@@ -105,8 +105,8 @@ def test_states_and_truth(trace):
     assert first.tolist() == [HEALTHY] * 36 + [ALARM] * 4
     assert not found.states[:, [1, 3, 4, 5]].any()
     both = dataclasses.replace(found, fault_q=found.fault_tau / 100, fault_tau=found.fault_tau[:, ::-1])
-    assert both.truth[20].tolist() == [NORMAL, NORMAL, SENSOR, ACTUATOR, NORMAL, NORMAL]
-    assert dataclasses.replace(found, fault_q=found.fault_tau).truth[20, 2] == BOTH
+    assert both.truth[20].tolist() == [0, 0, Verdict.SENSOR, Verdict.ACTUATOR, 0, 0]
+    assert dataclasses.replace(found, fault_q=found.fault_tau).truth[20, 2] == Verdict.BOTH
 
 
 def test_time_goes_to_the_nearest_tick(trace):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jax
@@ -15,6 +17,7 @@ from jaxftc.gains_file import header
 from jaxftc.io.files import aside
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.version import __version__
+from tuning.descent import behaviour
 from tuning.problem import Problem
 from tuning.settings import Settings
 from tuning.transform import Space
@@ -22,14 +25,22 @@ from tuning.transform import Space
 NAME = "checkpoint.npz"
 
 
-def identity(problem: Problem, space: Space, training: Scenario, validation: Scenario, settings: Settings) -> dict[str, Any]:
+def identity(
+    problem: Problem,
+    space: Space,
+    training: Scenario,
+    validation: Scenario,
+    settings: Settings,
+    limits: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
     """What must be the same for a run to go on to the same result; the code of a user's own terms is not looked at."""
     config = problem.config
     structure = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.name != "robot"}
     return {
         "version": __version__,
         "config": header(config) | structure,
-        "settings": {name: list(v) if isinstance(v, tuple) else v for name, v in dataclasses.asdict(settings).items()},
+        "settings": {field.name: _plain(field.name, settings) for field in dataclasses.fields(settings)},
+        "limits": dict(limits),
         "free gains": [[f"{leaf.block}.{leaf.name}", list(leaf.shape)] for leaf in space.leaves],
         "objective": {name: term.weight for name, term in problem.objective.items()},
         "start": _digest(space.start),
@@ -74,6 +85,14 @@ def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
             "go on with it under the same options, version and number of devices, or give another folder"
         )
     return arrays
+
+
+def _plain(name: str, settings: Settings) -> Any:
+    """A setting as JSON has it."""
+    value = getattr(settings, name)
+    if name == "optimizer":
+        return behaviour(value, settings.steps)
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _digest(tree: Any) -> str:

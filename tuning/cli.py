@@ -56,6 +56,10 @@ class Tune(common.Options):
     """Gains or blocks to leave as they are."""
     shared: tuple[str, ...] = ()
     """Gains or blocks to move on all joints alike; the others move joint by joint."""
+    weight: tuple[str, ...] = ()
+    """Weights of terms of the objective, such as delay=3 tracking=2; the others keep theirs."""
+    limit: tuple[str, ...] = ()
+    """Largest means of terms on the validation scenarios, such as delay=0.02: gains beyond one are never chosen."""
     held_out: int = 512
     """Scenarios of each preset, standard and hard, on which the gains are compared in the end."""
     held_out_seed: int | None = None
@@ -67,11 +71,14 @@ class Tune(common.Options):
         import jax
 
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
-        from tuning import report, transform
+        from tuning import report, terms, transform
         from tuning.held_out import compare
         from tuning.loop import fit
 
         self.settings.check()
+        objective = terms.weighted(terms.OBJECTIVE, numbers("--weight", self.weight))
+        limits = numbers("--limit", self.limit)
+        terms.check_terms("limit", objective, limits)
         checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
         config = Config(
             common.load_arm(self),
@@ -98,6 +105,8 @@ class Tune(common.Options):
                 training,
                 validation=validation,
                 key=noise,
+                objective=objective,
+                limits=limits,
                 only=free,
                 shared=self.shared,
                 settings=self.settings,
@@ -108,11 +117,14 @@ class Tune(common.Options):
         write_parquet(folder / "history.parquet", result.history)
         seed = secrets.randbits(31) if self.held_out_seed is None else self.held_out_seed
         unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
-        comparisons = compare(config, start, result.gains, unseen, n=self.held_out, batch=self.settings.batch)
+        comparisons = compare(
+            config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
+        )
         record = as_json(result, comparisons, folder) | {"held_out_seed": seed}
         text = common.write_json(folder / "result.json", record)
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
         common.say(self, summary(result, comparisons, seed))
+        common.say(self, "\n".join(["", "gains, before -> after", *(report.moved(start, result.gains) or ["none moved"])]))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
         arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else f"--robot {shlex.quote(self.robot)}"
         words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
@@ -156,6 +168,25 @@ class Bar:
         self.last = progress
 
 
+def numbers(option: str, words: tuple[str, ...]) -> dict[str, float]:
+    """Terms and their numbers from words such as ``delay=3``.
+
+    Raises:
+        ValueError: a word of another form, or a term twice.
+    """
+    found: dict[str, float] = {}
+    for word in words:
+        name, _, number = word.partition("=")
+        try:
+            value = float(number)
+        except ValueError as error:
+            raise ValueError(f"{option} takes terms with a number each, such as delay=3, got {word!r}") from error
+        if name in found:
+            raise ValueError(f"{option} has the term {name!r} twice; give it once")
+        found[name] = value
+    return found
+
+
 def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict[str, Any]:
     """The machine-readable result; a simulation is one closed-loop run, a gradient counted as several."""
     held_out = {c.preset: c.as_dict() for c in comparisons if c.sign == "smooth"}
@@ -169,6 +200,11 @@ def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict
         "seconds": result.seconds,
         "stopped": result.stopped,
         "events": result.events,
+        "limits": {
+            name: {"limit": limit, "before": before, "after": after, "kept": after <= limit}
+            for name, limit in result.limits.items()
+            for before, after in (result.validation[name],)
+        },
         "gains": str(folder / "gains.toml"),
     }
 
@@ -182,6 +218,10 @@ def summary(result: Result, comparisons: list[Comparison], seed: int) -> str:
         + (f"gains of step {result.best_step}" if result.best_step else "no step was better: the gains are unchanged"),
         *(f"  {event}" for event in result.events),
     ]
+    for name, limit in result.limits.items():
+        before, after = result.validation[name]
+        kept = "kept" if after <= limit else "NOT KEPT: no gains were found that keep every limit"
+        lines.append(f"limit {name} {limit:g}: {before:.4f} -> {after:.4f} on the validation scenarios, {kept}")
     for c in comparisons:
         (before, after), (low, high) = c.objective, c.ratio[1:]
         name = c.preset + (", hard sgn" if c.sign == "hard" else "")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -15,6 +16,7 @@ from jaxftc.compile.xla import jit
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import Array
 from tuning.problem import Problem, shared
+from tuning.settings import Optimizer
 from tuning.transform import REACH, Free, Space
 
 OPTIMIZERS: dict[str, Callable[..., optax.GradientTransformation]] = {
@@ -42,6 +44,25 @@ class Steps(NamedTuple):
     gradient_norm: Array  # [steps]
 
 
+def behaviour(optimizer: Optimizer, steps: int) -> str:
+    """What a checkpoint knows an optimiser by: its name, or what a user's own makes of a fixed series of gradients.
+
+    The code of a transformation cannot be compared; what it does can, rates and schedules included.
+    """
+    if isinstance(optimizer, str):
+        return optimizer
+    point = jnp.asarray([0.5, -1.0, 0.0], float)
+    gradients = jnp.sin(jnp.arange(3.0 * steps).reshape(steps, 3)).astype(point.dtype)
+
+    def step(carry: Any, gradient: Array) -> tuple[Any, Array]:
+        at, state = carry
+        change, state = optimizer.update(gradient, state, at)
+        return (optax.apply_updates(at, change), state), change
+
+    _, changes = jax.lax.scan(step, (point, optimizer.init(point)), gradients)
+    return f"own {hashlib.sha256(np.ascontiguousarray(changes).tobytes()).hexdigest()[:16]}"
+
+
 class Descent:
     """Steps of an optax optimiser, a round at a time as one scan.
 
@@ -49,10 +70,11 @@ class Descent:
     warms up and decays as a cosine; theta stays within ``REACH``.
     """
 
-    def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: str, rate: float, steps: int) -> None:
+    def __init__(self, problem: Problem, space: Space, *, mode: str, optimizer: Optimizer, rate: float, steps: int) -> None:
         warm = max(1, round(WARM_UP * steps))
         self._schedule = optax.warmup_cosine_decay_schedule(rate / 3, rate, warm, max(steps, warm + 1), LAST_RATE * rate)
-        self.optimizer = OPTIMIZERS[optimizer](1.0)  # the rate comes after it: it must outlast a restart
+        # The rate comes after it: it must outlast a restart.
+        self.optimizer = OPTIMIZERS[optimizer](1.0) if isinstance(optimizer, str) else optimizer
         slope = problem.slope_of(space.layout, mode, space.size)
 
         def gradient_steps(key: Array, free: Free, state: State, xs: Any) -> tuple[State, Steps]:
@@ -67,7 +89,8 @@ class Descent:
             return jax.lax.scan(one, state, xs)
 
         self._key, self._space = problem.key, space
-        name = None if problem.cached_as is None else f"{problem.cached_as} {mode} {optimizer} {space.layout.leaves}"
+        known = problem.cached_as is not None and isinstance(optimizer, str)
+        name = None if not known else f"{problem.cached_as} {mode} {optimizer} {space.layout.leaves}"
         like: Any = self.init(np.zeros(space.size)), Steps(0, 0)  # pyright: ignore[reportArgumentType]
         kind = "steps", *problem.kind, len(space.layout.leaves), mode, optimizer, mode == "reverse" or space.size
         self._round = shared(

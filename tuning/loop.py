@@ -1,7 +1,8 @@
 """``fit``: gains for a batch of scenarios. One loop for every method: a round, a validation, a checkpoint.
 
-The best gains on the validation scenarios are the answer. A round after which the loss has run away is undone: back to the
-best gains, with a lower rate; what happened is kept in ``Result.events``.
+The best gains on the validation scenarios are the answer; gains beyond a limit on a term are never the best. A
+round after which the loss has run away is undone: back to the best gains, with a lower rate; what happened is kept
+in ``Result.events``.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +23,7 @@ from jaxftc.types import Array
 from tuning import checkpoint, methods, transform
 from tuning.problem import LOST, Problem
 from tuning.settings import Settings
-from tuning.terms import OBJECTIVE, Term
+from tuning.terms import OBJECTIVE, Term, check_terms
 
 RUNAWAY = 2.0  # times the starting loss
 RECOVERIES = 3
@@ -37,7 +39,7 @@ class Progress(NamedTuple):
     loss: float  # on the last batch, of the objective without guard
     gradient_norm: float  # per scenario clipped; nan for a method without one
     validation: float  # loss on the validation scenarios, guard included
-    best: float  # the lowest of those
+    best: float  # the lowest of those of gains within the limits; infinite before there are any
 
 
 class Result(NamedTuple):
@@ -51,6 +53,13 @@ class Result(NamedTuple):
     simulations: int
     seconds: float
     steps: int
+    validation: dict[str, tuple[float, float]]  # mean of each term there, with the starting gains and with the gains
+    limits: dict[str, float]  # largest mean of a term there that was allowed
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether the gains keep the limits: False only for starting gains, where none were found that do."""
+        return all(self.validation[name][1] <= limit for name, limit in self.limits.items())
 
 
 def fit(
@@ -61,6 +70,7 @@ def fit(
     key: Array,
     validation: Scenario | None = None,
     objective: Mapping[str, Term] = OBJECTIVE,
+    limits: Mapping[str, float] = MappingProxyType({}),
     only: Iterable[str] = (),
     freeze: Iterable[str] = (),
     shared: Iterable[str] = (),
@@ -72,13 +82,15 @@ def fit(
 
     ``only``, ``freeze`` and ``shared`` name gains (``observer.alpha_i``) or blocks (``control``): what is tuned (all that
     the config uses but the poles, if empty), what is not, what moves on all joints alike. Without ``validation`` a quarter
-    of the scenarios is kept back for it. With a ``folder``, a checkpoint is written there after every round, and a run that
-    finds one goes on from it, to the same gains bit for bit. ``on_round`` is called with where it stands and the best gains
-    so far.
+    of the scenarios is kept back for it. ``limits`` are the largest means of terms there that are allowed: gains beyond
+    one are never chosen, and where none are found that keep all, the start is the answer (``Result.within_limits``).
+    With a ``folder``, a checkpoint is written there after every round, and a run that finds one goes on from it, to the
+    same gains bit for bit. ``on_round`` is called with where it stands and the best gains so far.
 
     Raises:
-        ValueError: an unknown or unused gain, nothing to tune, no or too few scenarios, start gains that are not allowed or
-            with which every run diverges, an objective without terms, or a checkpoint of another run.
+        ValueError: an unknown or unused gain, a limit on an unknown term, nothing to tune, no or too few scenarios, start
+            gains that are not allowed or with which every run diverges, an objective without terms, or a checkpoint of
+            another run.
     """
     settings.check()
     space = transform.space(config, gains, transform.select(config, only, freeze), shared)
@@ -86,7 +98,8 @@ def fit(
     if not objective:
         raise ValueError("the objective has no terms; give at least one, or tuning.OBJECTIVE")
     problem = Problem(config, objective, key, settings.batch)
-    run = _Run(problem, space, training, validation, settings)
+    check_terms("limit", objective, limits)
+    run = _Run(problem, space, training, validation, settings, limits)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         run.resume_from(folder / checkpoint.NAME)
@@ -127,16 +140,25 @@ class _Run:
     """The loop's state between rounds."""
 
     def __init__(
-        self, problem: Problem, space: transform.Space, training: Scenario, validation: Scenario, settings: Settings
+        self,
+        problem: Problem,
+        space: transform.Space,
+        training: Scenario,
+        validation: Scenario,
+        settings: Settings,
+        limits: Mapping[str, float],
     ) -> None:
+        self.limits = dict(limits)
         self.problem, self.space, self.validation, self.settings = problem, space, validation, settings
-        self.identity = checkpoint.identity(problem, space, training, validation, settings)
+        self.identity = checkpoint.identity(problem, space, training, validation, settings, limits)
         self.began = time.monotonic()
         self.before = problem.scores(space.start, validation)
         if (self.before == LOST).all():
             raise ValueError("every run diverges with the starting gains; start from other gains or smaller faults")
         self.method = methods.make(problem, space, training, settings)
-        self.start_loss = self.best = problem.loss(self.before, self.before)
+        self.start_loss = problem.loss(self.before, self.before)
+        self.best_means = self.before.mean(1)
+        self.best = self.start_loss if self._within(self.best_means) else float("inf")
         self.best_theta, self.best_step = np.zeros(space.size), 0
         self.index, self.stale, self.recoveries = 0, 0, 0
         self.rows: list[list[float]] = []
@@ -151,8 +173,9 @@ class _Run:
         theta = self.method.theta
         scores = self.problem.scores(self.space.deploy(theta, self.settings.anneal[1]), self.validation)
         loss = self.problem.loss(scores, self.before)
-        if loss < self.best:
+        if loss < self.best and self._within(scores.mean(1)):
             self.best, self.best_theta, self.best_step, self.stale, self.recoveries = loss, theta, step, 0, 0
+            self.best_means = scores.mean(1)
         else:
             self.stale += 1
         progress = Progress(
@@ -173,6 +196,10 @@ class _Run:
         if self.index == self.method.rounds and not self.stopped:
             self.stopped = "all steps done"
         return progress
+
+    def _within(self, means: np.ndarray) -> bool:
+        """Whether means of the terms [terms] keep the limits."""
+        return all(means[self.problem.names.index(name)] <= limit for name, limit in self.limits.items())
 
     def _recovered(self, step: int, loss: float, scores: np.ndarray) -> None:
         """Tell what has run away; after too many times, stop and say which term it was."""
@@ -204,6 +231,11 @@ class _Run:
             simulations=int(history["simulations"][-1]),
             seconds=float(history["seconds"][-1]),
             steps=int(history["step"][-1]),
+            validation={
+                name: (float(before), float(after))
+                for name, before, after in zip(self.problem.names, self.before.mean(1), self.best_means, strict=True)
+            },
+            limits=self.limits,
         )
 
     def pack(self) -> dict[str, Any]:
@@ -211,6 +243,7 @@ class _Run:
         return {
             **{f"method_{name}": value for name, value in self.method.pack().items()},
             "best_theta": self.best_theta,
+            "best_means": self.best_means,
             "numbers": np.array([self.best, self.best_step, self.index, self.stale, self.recoveries]),
             "rows": np.array(self.rows),
             "texts": np.array([self.stopped, *self.events]),
@@ -222,7 +255,7 @@ class _Run:
         if arrays is None:
             return
         self.method.unpack({name[7:]: value for name, value in arrays.items() if name.startswith("method_")})
-        self.best_theta = arrays["best_theta"]
+        self.best_theta, self.best_means = arrays["best_theta"], arrays["best_means"]
         self.best, *counts = arrays["numbers"].tolist()
         self.best_step, self.index, self.stale, self.recoveries = map(int, counts)
         self.rows = arrays["rows"].tolist()

@@ -26,6 +26,7 @@ WORST = 3  # scenarios shown
 SURFACE = "Factor on the switching gain, before and after"
 BEFORE, AFTER = COLOURS[1], COLOURS[0]
 SYMBOLS = ("circle", "square", "diamond", "triangle-up")
+MANY = 8  # values of a gain that are not all printed
 LEAST, MOST = 0.01, 100.0  # smallest and largest ratio drawn
 
 
@@ -111,6 +112,25 @@ def loss_figure(result: Result) -> go.Figure:
     finish(figure, "Loss and its terms", note, panels=3)
     figure.layout["xaxis2"].title = "closed-loop simulations, a gradient counted as several"
     return figure
+
+
+def moved(before: Gains, after: Gains) -> list[str]:
+    """A line of text for each gain that moved: name, old and new values, unit."""
+    lines = []
+    for block, name, spec in specs():
+        old, new = (np.asarray(getattr(getattr(gains, block), name), float).ravel() for gains in (before, after))
+        if not np.array_equal(old, new):
+            lines.append(f"  {f'{block}.{name}':24} {_values(old)} -> {_values(new)}  {spec.unit}")
+    return lines
+
+
+def _values(values: np.ndarray) -> str:
+    """Values in a line: one if all are alike, least and largest if they are many."""
+    if (values == values[0]).all():
+        return f"{values[0]:.4g}"
+    if len(values) > MANY:
+        return f"{values.min():.4g} to {values.max():.4g}"
+    return "[" + " ".join(f"{value:.4g}" for value in values) + "]"
 
 
 def gains_figure(config: Config, before: Gains, after: Gains) -> go.Figure:

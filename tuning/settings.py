@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from jaxftc import checks
 
@@ -12,6 +12,10 @@ METHODS = ("gradient", "cmaes", "random", "finite")
 OPTIMIZERS = ("adam", "lion", "sgd")
 GRADIENT_COST = 5  # closed-loop simulations that a gradient of one scenario counts as; `jaxftc bench tuning` measures it
 
+if TYPE_CHECKING:
+    Optimizer = Literal["adam", "lion", "sgd"] | Any  # also a GradientTransformation, which has no word on the command line
+else:
+    Optimizer = Literal["adam", "lion", "sgd"]
 ROUND = 5  # gradient steps between two validations, at most
 
 
@@ -27,8 +31,8 @@ class Settings:
     """Scenarios per step."""
     validation: int = 128
     """Scenarios on which the best gains are chosen; never trained on."""
-    optimizer: Literal["adam", "lion", "sgd"] = "adam"
-    """Rule of the gradient steps, after clipping."""
+    optimizer: Optimizer = "adam"
+    """Rule of the gradient steps, after clipping. From Python also any optax.GradientTransformation, made with rate 1."""
     learning_rate: float = 0.1
     """In units of theta: 0.1 changes a gain without an upper limit by about 10 % a step."""
     mode: Literal["reverse", "forward"] = "reverse"
@@ -45,7 +49,8 @@ class Settings:
             ValueError: a value is not allowed; the message says which are.
         """
         checks.one_of("method", self.method, METHODS)
-        checks.one_of("optimizer", self.optimizer, OPTIMIZERS)
+        if not all(callable(getattr(self.optimizer, part, None)) for part in ("init", "update")):
+            checks.one_of("optimizer", self.optimizer, OPTIMIZERS)
         checks.one_of("mode", self.mode, ("reverse", "forward"))
         checks.integer("steps", self.steps, 1, "100 suit the default gains")
         checks.integer("batch", self.batch, 1, "64 suit two cores")

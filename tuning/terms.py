@@ -7,13 +7,15 @@ threshold. Verdicts themselves carry no gradient; what the sensor check held of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.evaluation.metrics import SETTLE
 from jaxftc.gains import Gains
@@ -183,6 +185,35 @@ def _mean(x: Array, where: Array, axis: int) -> Array:
     """Mean over the entries of ``where``, 0 where there is none."""
     where = jnp.broadcast_to(where, x.shape)
     return jnp.where(where, x, 0.0).sum(axis) / jnp.maximum(where.sum(axis), 1)
+
+
+def weighted(objective: Mapping[str, Term], weights: Mapping[str, float]) -> dict[str, Term]:
+    """An objective with other weights for some of its terms.
+
+    Args:
+        objective: Terms by name, as ``OBJECTIVE``.
+        weights: New weights by name, 1, not negative.
+
+    Returns:
+        The objective; its other terms are as they were.
+
+    Raises:
+        ValueError: a term that is not there, or a weight that is negative or not finite.
+    """
+    check_terms("weight", objective, weights)
+    return {name: term._replace(weight=float(weights.get(name, term.weight))) for name, term in objective.items()}
+
+
+def check_terms(what: str, objective: Mapping[str, Term], values: Mapping[str, float]) -> None:
+    """Refuse numbers of terms that are not there, and those that are negative or not finite.
+
+    Raises:
+        ValueError: naming the term, what came and what is allowed.
+    """
+    for name, value in values.items():
+        checks.one_of(f"the term of a {what}", name, tuple(objective))
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"the {what} of {name} must be finite and not negative, got {value!r}")
 
 
 OBJECTIVE: dict[str, Term] = {

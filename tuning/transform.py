@@ -227,9 +227,7 @@ class Space:
 
 def widened(gains: Gains, factor: Array | float) -> Gains:
     """Gains with the widths of both smooth signs times a factor."""
-    observer = dataclasses.replace(gains.observer, eps=factor * gains.observer.eps)
-    control = dataclasses.replace(gains.control, eps=factor * gains.control.eps)
-    return dataclasses.replace(gains, observer=observer, control=control)
+    return gains.replace({"observer.eps": factor * gains.observer.eps, "control.eps": factor * gains.control.eps})
 
 
 def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[str] = ()) -> Space:

@@ -8,12 +8,10 @@ Fresh runs then say what was reached.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.campaigns.run import scores
@@ -205,8 +203,4 @@ def thresholds(config: Config, peaks: Peaks, false_alarms: float, confidence: fl
 
 def with_thresholds(gains: Gains, alpha_tau: Any, alpha_q: Any) -> Gains:
     """Gains with other thresholds, N m and rad."""
-    dtype = gains.diagnosis.alpha_tau.dtype
-    diagnosis = dataclasses.replace(
-        gains.diagnosis, alpha_tau=jnp.asarray(alpha_tau, dtype), alpha_q=jnp.asarray(alpha_q, dtype)
-    )
-    return dataclasses.replace(gains, diagnosis=diagnosis)
+    return gains.replace({"diagnosis.alpha_tau": alpha_tau, "diagnosis.alpha_q": alpha_q})

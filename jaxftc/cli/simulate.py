@@ -142,7 +142,7 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
     import numpy as np
 
     from jaxftc.evaluation import metrics
-    from jaxftc.types import VERDICTS
+    from jaxftc.types import Verdict
 
     wanted, present = metrics.truth(trace["fault_tau"], trace["fault_q"])
     scored = metrics.detection(config, trace["verdict"], wanted, present).verdict
@@ -152,8 +152,8 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
             "joint": name,
             "fault_tau_rms_nm": metrics.rms(trace["fault_tau_hat"][:, j] - trace["fault_tau"][:, j]),
             "fault_q_rms_deg": math.degrees(metrics.rms(trace["fault_q_hat"][:, j] - trace["fault_q"][:, j])),
-            "verdict": VERDICTS[int(scored[j])],
-            "truth": VERDICTS[int(wanted[j])],
+            "verdict": Verdict(scored[j]).label,
+            "truth": Verdict(wanted[j]).label,
             "tracking_rms_deg": math.degrees(metrics.rms(trace["q"][:, j] - trace["q_ref"][:, j])),
             "peak_torque_nm": float(np.abs(trace["tau"][:, j]).max()),
             "saturated_share": float(saturated[j]),

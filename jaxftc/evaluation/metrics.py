@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxftc.config import Config
-from jaxftc.types import ACTUATOR, BOTH, NORMAL, SENSOR
+from jaxftc.types import Verdict
 
 SETTLE = 0.060  # s after the alarm at which the verdict is scored
 RECOVERY = 0.100  # s after a fault has gone within which alarms may last
@@ -46,7 +46,7 @@ def truth(fault_tau: np.ndarray, fault_q: np.ndarray) -> tuple[np.ndarray, np.nd
     """(verdict [n] that is right while the faults are there, whether any is there [T]) from the true faults [T, n]."""
     tau, q = fault_tau != 0, fault_q != 0
     actuator, sensor = tau.any(0), q.any(0)
-    return np.select([actuator & sensor, actuator, sensor], [BOTH, ACTUATOR, SENSOR], NORMAL), (tau | q).any(1)
+    return Verdict.ACTUATOR * actuator | Verdict.SENSOR * sensor, (tau | q).any(1)
 
 
 def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: np.ndarray) -> Detection:
@@ -56,7 +56,7 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: 
     SETTLE after that. An alarm before onset, or later than RECOVERY after the last tick of a fault, is a false one and finds
     nothing, also if it is still up when the fault comes.
     """
-    alarm, ticks = (verdict != NORMAL).any(1), np.arange(len(verdict))
+    alarm, ticks = (verdict != Verdict.NORMAL).any(1), np.arange(len(verdict))
     there = np.flatnonzero(present)
     first, last = (there[0], there[-1]) if there.size else (len(verdict), -1)
     excused = (ticks >= first) & (ticks <= last + round(RECOVERY / config.dt))

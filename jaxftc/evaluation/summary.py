@@ -14,14 +14,15 @@ import numpy as np
 from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.online import LEVELS
 from jaxftc.evaluation.table import CROSSINGS
-from jaxftc.types import NORMAL, VERDICTS
+from jaxftc.types import LABELS, Verdict
 
-FAULTY = VERDICTS[NORMAL + 1 :]
+NORMAL = Verdict.NORMAL.label
+FAULTY = LABELS[1:]
 ERRORS = {  # and the kinds of scenario that they are taken over: an estimate counts where there is something to estimate
     "fault_tau_rmse_nm": ("actuator", "both"),
     "fault_q_rmse_deg": ("sensor", "both"),
-    "tracking_rmse_deg": VERDICTS,
-    "chattering": VERDICTS,
+    "tracking_rmse_deg": LABELS,
+    "chattering": LABELS,
 }
 MORE = ("tracking_max_deg", "rough", "effort", "peak", "saturated_share")  # beside them, by kind of fault
 FIXED = 0.01  # share of healthy runs with an alarm at which delays are compared
@@ -48,13 +49,13 @@ class Part(Mapping[str, np.ndarray]):
 def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     """Everything for ``summary.json``; a figure ``x`` has its interval beside it, ``x_95``. Infinite and absent are null."""
     kind = rows["kind"]
-    faulty, healthy = kind != VERDICTS[NORMAL], kind == VERDICTS[NORMAL]
+    faulty, healthy = kind != NORMAL, kind == NORMAL
     early = faulty & (rows["onset_s"] > 0)
     found = {"n": len(kind), "scheme": scheme, "n_healthy": int(healthy.sum()), "diverged": int(rows["diverged"].sum())}
     found |= _share("false_alarm_runs", rows["false_alarm"][healthy])
     found |= _share("false_alarm_before_onset", rows["false_alarm"][early])
     found |= _detection(Part(rows, faulty))
-    found["n_by_kind"] = {name: int((kind == name).sum()) for name in VERDICTS}
+    found["n_by_kind"] = {name: int((kind == name).sum()) for name in LABELS}
     delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
@@ -68,13 +69,13 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
 def by_kind(rows: Table) -> dict[str, Part]:
     """The rows of each kind of fault, by its name: ``actuator bias``, ``both bias + drift``."""
     fault = rows["fault"]
-    names = sorted(set(fault) - {VERDICTS[NORMAL]})
+    names = sorted(set(fault) - {NORMAL})
     return {str(name): Part(rows, np.flatnonzero(fault == name)) for name in names}
 
 
 def confusion(rows: Table) -> np.ndarray:
-    """Counts [4, 4]: true kind by row, verdict 60 ms after the alarm by column, in the order of VERDICTS."""
-    true, said = ([rows[column] == name for name in VERDICTS] for column in ("kind", "kind_hat"))
+    """Counts [4, 4]: true kind by row, verdict 60 ms after the alarm by column, in the order of ``Verdict``."""
+    true, said = ([rows[column] == name for name in LABELS] for column in ("kind", "kind_hat"))
     return np.array([[int((t & s).sum()) for s in said] for t in true])
 
 
@@ -84,7 +85,7 @@ def roc(rows: Table) -> dict[str, Any]:
     The sensor check does not scale, and the fuzzy stage keeps the thresholds it ran with.
     """
     kind = rows["kind"]
-    healthy = rows["healthy_ratio"][kind == VERDICTS[NORMAL]]
+    healthy = rows["healthy_ratio"][kind == NORMAL]
     detection: dict[str, list[float | None]] = {name: [] for name in FAULTY}
     delay: dict[str, list[float | None]] = {name: [] for name in FAULTY}
     for column in CROSSINGS:

@@ -14,7 +14,7 @@ from jaxftc.config import Config
 from jaxftc.evaluation.online import LEVELS, Score
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.scenarios.scenario import Scenario
-from jaxftc.types import VERDICTS
+from jaxftc.types import LABELS, Verdict
 
 CROSSINGS = tuple(f"delay_at_{level:.3f}_s" for level in LEVELS)  # delays with all thresholds times LEVELS
 UNITS: dict[tuple[type[IntEnum], int], str] = {
@@ -39,7 +39,7 @@ def _names(kinds: type[IntEnum]) -> np.ndarray:
 def _faults() -> np.ndarray:
     """Names [kind, actuator fault, encoder fault], such as ``both bias + drift``."""
     tau, q = _names(Actuator), _names(Sensor)
-    return np.array([[[f"{v} {' + '.join(filter(None, (a, b)))}".strip() for b in q] for a in tau] for v in VERDICTS])
+    return np.array([[[f"{v} {' + '.join(filter(None, (a, b)))}".strip() for b in q] for a in tau] for v in LABELS])
 
 
 FAULTS = _faults()
@@ -53,7 +53,7 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     """
     tau, q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
     has_tau, ill = tau.faulty.any(0), tau.faulty | q.faulty
-    wanted, healthy = tau.faulty + 2 * q.faulty, ~ill.any(0)
+    wanted, healthy = Verdict.ACTUATOR * tau.faulty | Verdict.SENSOR * q.faulty, ~ill.any(0)
     verdict = np.asarray(score.verdict)
     kind, kind_hat = _either(wanted), _either(verdict)
     clear = np.maximum(tau.last, q.last)
@@ -76,7 +76,7 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     recovery = np.maximum(_double(score.quiet_at) - np.where(goes, clear, 0.0) - dt, 0.0)
     return {
         "scenario_id": np.asarray(scenarios.id, np.int64),
-        "kind": np.asarray(VERDICTS)[kind],
+        "kind": np.asarray(LABELS)[kind],
         "fault": FAULTS[kind, tau.code, q.code],
         "fault_tau": tau.name,
         "fault_q": q.name,
@@ -93,10 +93,10 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
         "delay_s": since(score.alarm_at),
         "isolated_s": since(score.isolated_at),
         "recovery_s": np.where(goes, recovery, np.nan),
-        "kind_hat": np.asarray(VERDICTS)[kind_hat],
+        "kind_hat": np.asarray(LABELS)[kind_hat],
         "joint_hat": _first(verdict > 0),
-        "joint_tau_hat": _first(verdict & 1 > 0),
-        "joint_q_hat": _first(verdict & 2 > 0),
+        "joint_tau_hat": _first(verdict & Verdict.ACTUATOR > 0),
+        "joint_q_hat": _first(verdict & Verdict.SENSOR > 0),
         "kind_right": kind_hat == kind,
         "joint_right": ((verdict > 0) == ill).all(0),
         "verdict_right": (verdict == wanted).all(0),

@@ -148,14 +148,15 @@ def _sweep(config: Config) -> Scenario:
 
 def _scaled(gains: Gains, switching: np.ndarray, threshold: np.ndarray) -> Gains:
     """Gains of the runs: switching gains and thresholds times a factor each."""
-    blocks = {
-        name: dataclasses.replace(block, **{gain: jnp.asarray(factor) * getattr(block, gain)[:, None] for gain in scaled})
-        for name, block, factor, scaled in (
-            ("control", gains.control, switching, ("alpha_sm", "alpha_sm2")),
-            ("diagnosis", gains.diagnosis, threshold, ("alpha_tau", "alpha_q")),
-        )
-    }
-    return dataclasses.replace(gains, **blocks)
+    control, diagnosis = gains.control, gains.diagnosis
+    return gains.replace(
+        {
+            "control.alpha_sm": switching * control.alpha_sm[:, None],
+            "control.alpha_sm2": switching * control.alpha_sm2[:, None],
+            "diagnosis.alpha_tau": threshold * diagnosis.alpha_tau[:, None],
+            "diagnosis.alpha_q": threshold * diagnosis.alpha_q[:, None],
+        }
+    )
 
 
 def _all(

@@ -58,8 +58,8 @@ def _about(config: Config) -> str:
 def _rules(config: Config, gains: Gains) -> str:
     """The rule base as it is used, with the centre of each output set."""
     outputs = np.asarray(gains.control.outputs)
-    table = rule_table.TABLES[config.rules].tolist()
-    body = [(SETS[row], *(LEVELS[level] for level in levels)) for row, levels in enumerate(table)]
+    rules = rule_table.TABLES[config.rules].tolist()
+    body = [(SETS[row], *(LEVELS[level] for level in levels)) for row, levels in enumerate(rules)]
     centres = ", ".join(f"{name} {value:g}" for name, value in zip(LEVELS, outputs, strict=True))
     words = f"Rows: joint position; columns: sliding surface s; entries: output set, centres {centres}."
     if config.rules == "printed":

@@ -19,7 +19,7 @@ from jaxftc.evaluation.summary import FAULTY, Table, by_kind
 from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.simulation.closed_loop import Trace
-from jaxftc.types import VERDICTS
+from jaxftc.types import LABELS
 
 
 def campaign(
@@ -72,7 +72,7 @@ def confusion(result: dict[str, Any]) -> go.Figure:
     shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
     text = [[f"{c}<br>{100 * s:.1f} %" for c, s in zip(*pair, strict=True)] for pair in zip(counts, shares, strict=True)]
     figure = go.Figure(
-        go.Heatmap(z=shares, x=VERDICTS, y=VERDICTS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
+        go.Heatmap(z=shares, x=LABELS, y=LABELS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
     )
     figure.update_yaxes(autorange="reversed", title_text="true kind")
     title = f"Verdict {1e3 * metrics.SETTLE:.0f} ms after the alarm"

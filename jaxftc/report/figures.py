@@ -13,7 +13,7 @@ from jaxftc.config import Config
 from jaxftc.control.fuzzy_gain import surface
 from jaxftc.gains import Gains
 from jaxftc.report.page import embed, page
-from jaxftc.types import VERDICTS
+from jaxftc.types import LABELS
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # told apart by colour-blind readers
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -138,7 +138,7 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, sh
     apart = 0.08 * (np.arange(config.n) - (config.n - 1) / 2)  # joints that say the same are drawn beside each other
     verdict = Panel("verdict", {"": (trace["verdict"] + apart, {"shape": "hv"})})
     figure = shade(together(trace["t"], [torque, angle, verdict], config.robot.joint_names), trace)
-    figure.update_yaxes(tickvals=[0, 1, 2, 3], ticktext=VERDICTS, range=[-0.4, 3.4], row=3, col=1)
+    figure.update_yaxes(tickvals=[0, 1, 2, 3], ticktext=LABELS, range=[-0.4, 3.4], row=3, col=1)
     meta = {"together": True} if shown is None else {"first": shown}
     return finish(
         figure,

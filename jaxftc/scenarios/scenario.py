@@ -13,10 +13,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 
 from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant, nominal_plant
+from jaxftc.scenarios import builders
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
 from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START
 from jaxftc.types import Array
@@ -28,7 +30,7 @@ PAPER_WINDOW = (0.1, 0.25)  # s
 
 
 class Scenario(NamedTuple):
-    """Everything that differs from run to run."""
+    """Everything that differs from run to run; ``with_...`` adds a fault (``jaxftc.scenarios.builders``)."""
 
     id: Array  # [...] int32; the noise depends on the key and on this, not on the place in a batch
     q_start: Array  # [n, ...] rad
@@ -37,6 +39,64 @@ class Scenario(NamedTuple):
     fault_tau: Fault
     fault_q: Fault
     plant: Plant
+
+    with_actuator_bias = builders.with_actuator_bias
+    with_actuator_loss = builders.with_actuator_loss
+    with_actuator_saturation = builders.with_actuator_saturation
+    with_stuck_actuator = builders.with_stuck_actuator
+    with_encoder_bias = builders.with_encoder_bias
+    with_encoder_drift = builders.with_encoder_drift
+    with_encoder_scale = builders.with_encoder_scale
+    with_encoder_noise = builders.with_encoder_noise
+    with_frozen_encoder = builders.with_frozen_encoder
+    with_encoder_dropout = builders.with_encoder_dropout
+
+
+def healthy_scenario(
+    config: Config,
+    *,
+    q_start: ArrayLike | None = None,
+    q_goal: ArrayLike | None = None,
+    noise: float = ENCODER_NOISE,
+    scenario_id: int = 0,
+) -> Scenario:
+    """A motion without a fault, of an arm that is as its model; its ``with_...`` methods add faults.
+
+    Args:
+        config: The arm and how it is run.
+        q_start: [n] rad, where the motion starts; the paper's, or the zero position of an arm that has not six joints.
+        q_goal: [n] rad, where it ends; the paper's, or one radian from the zero position.
+        noise: Standard deviation of the encoders, rad.
+        scenario_id: The encoders' noise depends on the key and on this number.
+
+    Returns:
+        One scenario.
+
+    Raises:
+        ValueError: angles that are not n finite numbers, or noise that is negative or not finite.
+    """
+    checks.instance("config", config, Config)
+    start, goal = paper_motion(config)
+    start = start if q_start is None else _angles("q_start", q_start, config.n)
+    goal = goal if q_goal is None else _angles("q_goal", q_goal, config.n)
+    if not (math.isfinite(noise) and noise >= 0):
+        raise ValueError(f"noise must be finite and not negative, in rad, got {noise!r}")
+    return Scenario(
+        id=jnp.asarray(scenario_id, jnp.int32),
+        q_start=start,
+        q_goal=goal,
+        noise=jnp.asarray(noise, float),
+        fault_tau=no_fault(config.n),
+        fault_q=no_fault(config.n),
+        plant=nominal_plant(config.robot),
+    )
+
+
+def _angles(name: str, value: ArrayLike, n: int) -> Array:
+    if np.shape(value) != (n,):
+        raise ValueError(f"{name} must have shape [{n}], an angle in rad a joint, got {list(np.shape(value))}")
+    checks.finite(name, value, "angles are in rad")
+    return jnp.asarray(value, float)
 
 
 def paper_scenario(
@@ -51,23 +111,16 @@ def paper_scenario(
         ValueError: an unknown condition.
     """
     checks.one_of("condition", condition, CONDITIONS)
-    n = config.n
-    start, goal = paper_motion(config)
-    healthy = no_fault(n)
+    n, healthy = config.n, no_fault(config.n)
 
     def bias(kind: int, size: float) -> Fault:
         leaves = {"kind": jnp.asarray(kind, jnp.int32), "magnitude": jnp.asarray(size, float)}
         leaves |= {"onset": jnp.asarray(PAPER_WINDOW[0], float), "clear": jnp.asarray(PAPER_WINDOW[1], float)}
         return healthy._replace(**{name: jnp.broadcast_to(leaf, (n,)) for name, leaf in leaves.items()})
 
-    return Scenario(
-        id=jnp.asarray(scenario_id, jnp.int32),
-        q_start=start,
-        q_goal=goal,
-        noise=jnp.asarray(ENCODER_NOISE, float),
+    return healthy_scenario(config, scenario_id=scenario_id)._replace(
         fault_tau=bias(Actuator.BIAS, torque) if condition in ("actuator", "both") else healthy,
         fault_q=bias(Sensor.BIAS, angle) if condition in ("sensor", "both") else healthy,
-        plant=nominal_plant(config.robot),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jaxftc.types import VERDICTS
+from jaxftc.types import LABELS, Verdict
 from jaxftc.view.replay import HEALTHY, STATES, Replay
 from jaxftc.view.scene import COLOURS, GHOST
 
@@ -22,26 +22,26 @@ class Caption:
         self._size = max(9.0, height / 30)
         self._font, self._large = (ImageFont.load_default(k * self._size) for k in (1.0, 1.5))
         self._names = [name if len(name) <= 10 else name[:9] + "." for name in replay.joints]
-        widths = [max(self._font.getlength(word) for word in words) for words in (self._names, VERDICTS)]
+        widths = [max(self._font.getlength(word) for word in words) for words in (self._names, LABELS)]
         self._columns = np.cumsum([2.1 * self._size, *(width + self._size for width in widths)]).tolist()  # pixels
 
     def write(self, pixels: np.ndarray, tick: int, off: float) -> Image.Image:
         """The picture [height, width, 3] with its caption; ``off`` is the tool's distance from the reference in m."""
         image = Image.fromarray(pixels)
         draw, s = ImageDraw.Draw(image), self._size
-        now = int(np.bitwise_or.reduce(self._truth[tick]))
+        now = Verdict(np.bitwise_or.reduce(self._truth[tick]))
         draw.text((s, 0.6 * s), f"{self._replay.t[tick]:.3f} s", INK, self._large)
-        draw.text((s, 2.6 * s), f"fault now: {VERDICTS[now] if now else 'none'}", INK, self._font)
+        draw.text((s, 2.6 * s), f"fault now: {now.label if now else 'none'}", INK, self._font)
         draw.text((s, 3.9 * s), f"tool off reference: {1e3 * off:.1f} mm", INK, self._font)
         y = 6.0 * s
         for x, word in zip(self._columns, ("", "fault", "verdict"), strict=True):
             draw.text((x, y), word, PALE, self._font)
         for j, name in enumerate(self._names):
             y += 1.35 * s
-            words = (name, *(VERDICTS[int(v[tick, j])] for v in (self._truth, self._replay.verdict)))
+            words = (name, *(Verdict(v[tick, j]).label for v in (self._truth, self._replay.verdict)))
             self._mark(draw, s, y, int(self._states[tick, j]))
             for x, word in zip(self._columns, words, strict=True):
-                quiet = word == VERDICTS[0]
+                quiet = word == Verdict.NORMAL.label
                 draw.text((x, y), "-" if quiet else word, PALE if quiet else INK, self._font)
         self._legend(draw, image.height)
         return image

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxftc.evaluation.metrics import SETTLE
-from jaxftc.types import ACTUATOR, NORMAL, SENSOR
+from jaxftc.types import Verdict
 
 HEALTHY, FAULT, DETECTED, ALARM = range(4)  # state of a joint: nothing, fault not found, fault found, alarm without a fault
 STATES = ("healthy", "fault", "fault, detected", "alarm, no fault")
@@ -25,17 +25,17 @@ class Replay:
     q_ref: np.ndarray  # [T, n] rad
     fault_tau: np.ndarray  # [T, n] N m, true actuator fault
     fault_q: np.ndarray  # [T, n] rad, true encoder fault
-    verdict: np.ndarray  # [T, n] int, as in ``types.VERDICTS``
+    verdict: np.ndarray  # [T, n] int, as in ``Verdict``
 
     @property
     def truth(self) -> np.ndarray:
         """The verdict [T, n] that would be right at each tick."""
-        return np.where(self.fault_tau != 0, ACTUATOR, NORMAL) | np.where(self.fault_q != 0, SENSOR, NORMAL)
+        return Verdict.ACTUATOR * (self.fault_tau != 0) | Verdict.SENSOR * (self.fault_q != 0)
 
     @property
     def states(self) -> np.ndarray:
         """State of every joint [T, n]; a fault counts as found whatever kind the verdict says."""
-        there, called = self.truth != NORMAL, self.verdict != NORMAL
+        there, called = self.truth != Verdict.NORMAL, self.verdict != Verdict.NORMAL
         return np.select([there & called, there, called], [DETECTED, FAULT, ALARM], HEALTHY)
 
     def tick(self, t: float | np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ class Replay:
 
     def moment(self) -> float:
         """Time, s, that says most in one picture: when verdicts are scored after the first alarm, or the middle of a run."""
-        alarms = np.flatnonzero((self.verdict != NORMAL).any(1))
+        alarms = np.flatnonzero((self.verdict != Verdict.NORMAL).any(1))
         if not alarms.size:
             return float(self.t[len(self.t) // 2])
         return float(self.t[self.tick(self.t[alarms[0]] + SETTLE)])
@@ -72,7 +72,7 @@ def read(path: Path) -> Replay:
     if not joints or absent:
         raise ValueError(f"{path} is no trace of `jaxftc simulate`: it has no column {(absent or ['q_ref_joint1'])[0]!r}")
     t = np.ma.filled(table["t"], np.nan).astype(float)
-    fill = {"verdict": NORMAL}  # DuckDB takes what is not a number for absent
+    fill = {"verdict": Verdict.NORMAL}  # DuckDB takes what is not a number for absent
     columns = {s: np.stack([np.ma.filled(table[f"{s}_{j}"], fill.get(s, np.nan)) for j in joints], axis=1) for s in signals}
     lost = np.flatnonzero(~np.isfinite(columns["q"]).all(1))
     ticks = int(lost[0]) if lost.size else len(t)

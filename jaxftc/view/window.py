@@ -8,7 +8,7 @@ import time
 import warnings
 from typing import Any
 
-from jaxftc.types import NORMAL, VERDICTS
+from jaxftc.types import Verdict
 from jaxftc.view.replay import check_speed
 from jaxftc.view.scene import Scene
 
@@ -82,9 +82,9 @@ def caption(scene: Scene, tick: int) -> tuple[str, str]:
     truth, verdict = replay.truth[tick], replay.verdict[tick]
     left, right = ["time", "tool off reference"], [f"{replay.t[tick]:.3f} s", f"{1e3 * scene.tool_off():.1f} mm"]
     for joint, fault, said in zip(replay.joints, truth, verdict, strict=True):
-        if fault != NORMAL or said != NORMAL:
+        if fault or said:
             left.append(joint)
-            fault, said = (VERDICTS[int(k)] if k != NORMAL else "none" for k in (fault, said))
+            fault, said = (Verdict(k).label if k else "none" for k in (fault, said))
             right.append(f"fault {fault}, verdict {said}")
     return "\n".join(left), "\n".join(right)
 

@@ -1,0 +1,5 @@
+"""``python -m jaxftc``: the command ``jaxftc``."""
+
+from jaxftc.cli.main import main
+
+main()

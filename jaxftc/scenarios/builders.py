@@ -1,0 +1,157 @@
+"""Faults by name: each function gives a scenario one fault more, and ``Scenario`` has them all as methods.
+
+Joints count from 1, as in presets, rows of campaigns and files. A joint has one fault a channel: another
+replaces it. Sizes and times are numbers, or an array with the axes of ``scenario.id``: one a scenario of a set
+with a leading axis. They may be traced; ``joint`` may not.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jax.typing import ArrayLike
+
+from jaxftc import checks
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.types import Array
+
+if TYPE_CHECKING:
+    from jaxftc.scenarios.scenario import Scenario
+
+
+class Law(TypedDict, total=False):
+    """How a fault comes and goes; abrupt and for good if nothing is given."""
+
+    clear: ArrayLike  # s, when it goes; infinite if it stays
+    rise: ArrayLike  # s, ramp from 0 to full size
+    period: ArrayLike  # s, of an intermittent fault
+    duty: ArrayLike  # 1, share of the period in which it is there
+
+
+def with_actuator_bias(scenario: Scenario, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """A torque added to the motor's.
+
+    Args:
+        scenario: One scenario, or a set with a leading axis.
+        joint: Which one, from 1.
+        torque: Added torque, N m.
+        onset: When it comes, s.
+        **law: ``clear`` s, ``rise`` s, ``period`` s and ``duty``, as in ``Law``.
+
+    Returns:
+        The scenario with this fault.
+
+    Raises:
+        ValueError: no such joint, a number that is not finite or not allowed, or scenarios on trailing axes.
+    """
+    return _with(scenario, "fault_tau", Actuator.BIAS, joint, torque, onset, law)
+
+
+def with_actuator_loss(scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """A share, 0 to 1, of the commanded torque is lost; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_tau", Actuator.LOSS, joint, _share(share), onset, law)
+
+
+def with_actuator_saturation(
+    scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]
+) -> Scenario:
+    """Only a share, 0 to 1, of the torque limit is left; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_tau", Actuator.SATURATION, joint, _share(share), onset, law)
+
+
+def with_stuck_actuator(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """The torque stays what it was at onset; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_tau", Actuator.STUCK, joint, 0.0, onset, law)
+
+
+def with_encoder_bias(scenario: Scenario, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """An angle, rad, added to the reading; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_q", Sensor.BIAS, joint, angle, onset, law)
+
+
+def with_encoder_drift(scenario: Scenario, joint: int, rate: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """The reading drifts off at a rate, rad/s; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_q", Sensor.DRIFT, joint, rate, onset, law)
+
+
+def with_encoder_scale(scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """A share of the angle is added to the reading; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_q", Sensor.SCALE, joint, share, onset, law)
+
+
+def with_encoder_noise(scenario: Scenario, joint: int, factor: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """The encoder's noise is a factor larger; the rest as ``with_actuator_bias``."""
+    _require("factor", factor, 0.0, math.inf)
+    return _with(scenario, "fault_q", Sensor.NOISE, joint, factor, onset, law)
+
+
+def with_frozen_encoder(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """The reading stays what it was at onset; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_q", Sensor.FREEZE, joint, 0.0, onset, law)
+
+
+def with_encoder_dropout(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+    """There is no reading; the rest as ``with_actuator_bias``."""
+    return _with(scenario, "fault_q", Sensor.DROPOUT, joint, 0.0, onset, law)
+
+
+def _with(
+    scenario: Scenario,
+    channel: Literal["fault_tau", "fault_q"],
+    kind: Actuator | Sensor,
+    joint: int,
+    magnitude: ArrayLike,
+    onset: ArrayLike,
+    law: Law,
+) -> Scenario:
+    axes, shape = np.shape(scenario.id), np.shape(scenario.q_start)
+    if shape[:-1] != axes:
+        raise ValueError(
+            "faults are given to one scenario or to a set with a leading axis, "
+            f"got q_start of shape {list(shape)} and id of shape {list(axes)}; give them before jaxftc.trail"
+        )
+    checks.integer("joint", joint, 1, f"joints count from 1 to {shape[-1]}")
+    if joint > shape[-1]:
+        raise ValueError(f"joint must be 1 to {shape[-1]}, got {joint}")
+    for name in law:
+        checks.one_of("the law of a fault", name, tuple(Law.__annotations__))
+    times: dict[str, Any] = {"clear": math.inf, "rise": 0.0, "period": math.inf, "duty": 1.0, **law}
+    checks.finite("magnitude", magnitude, "it is the size of the fault in the kind's unit")
+    checks.finite("onset", onset, "it is when the fault comes, in s")
+    checks.finite("rise", times["rise"], "it is how long the fault grows, in s")
+    for name, low, high in (("onset", 0.0, math.inf), ("rise", 0.0, math.inf), ("duty", 0.0, 1.0)):
+        _require(name, onset if name == "onset" else times[name], low, high)
+    _require("clear", times["clear"], onset, math.inf, "be later than the onset", above=True)
+    _require("period", times["period"], 0.0, math.inf, "be positive", above=True)
+    values = Fault(jnp.int32(kind), magnitude, onset, **times)  # pyright: ignore[reportArgumentType]
+    leaves = zip(Fault._fields, getattr(scenario, channel), values, strict=True)
+    return scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
+
+
+def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[int, ...]) -> Array:
+    """A leaf [..., n] with another value of a joint."""
+    if np.shape(value) not in ((), axes):
+        raise ValueError(f"{name} must be a number or have shape {list(axes)}, got {list(np.shape(value))}")
+    leaf = jnp.asarray(leaf)
+    return leaf.at[..., joint - 1].set(jnp.asarray(value, leaf.dtype))
+
+
+def _share(value: ArrayLike) -> ArrayLike:
+    _require("share", value, 0.0, 1.0)
+    return value
+
+
+def _require(
+    name: str, value: ArrayLike, low: ArrayLike, high: float, rule: str | None = None, *, above: bool = False
+) -> None:
+    """Refuse a value outside low..high, with ``above`` also low itself; values under a trace are not looked at."""
+    if isinstance(value, Tracer) or isinstance(low, Tracer):
+        return
+    x = np.asarray(value)
+    if not ((x > low if above else x >= low) & (x <= high)).all():
+        rule = rule or (f"not be less than {low:g}" if math.isinf(high) else f"lie in [{low:g}, {high:g}]")
+        raise ValueError(f"{name} must {rule}, got {x.tolist()}")
