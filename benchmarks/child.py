@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -66,3 +68,20 @@ def _ticks(config: Config, gains: Any, calls: int) -> dict[str, float]:
     shares = zip(("tick_p50_us", "tick_p99_us", "tick_p999_us"), (50, 99, 99.9), strict=True)
     percentiles = {key: float(np.percentile(done.microseconds, share)) for key, share in shares}
     return percentiles | {"error": float(np.abs((done.torque - done.expected) / limit).max())}
+
+
+def main(task: Task) -> None:
+    """The process's settings first, then the workload."""
+    if task.cores is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: task.cores])
+    options = common.Options(
+        engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
+    )
+    common.prepare(options, many=task.what in ("loop", "gradient"), devices=task.what == "gradient")  # as the commands do
+    if task.what == "tick":  # as a control loop does, see jaxftc.Tick
+        jax.config.update("jax_cpu_enable_async_dispatch", False)
+    serve(task, options)
+
+
+if __name__ == "__main__":
+    main(Task(**json.loads(sys.argv[1])))

@@ -1,6 +1,7 @@
-"""A workload in a process of its own: fresh caches, its own devices and cores, its own peak memory. Both ends.
+"""A workload in a process of its own: fresh caches, its own devices and cores, its own peak memory.
 
-The parent starts it and asks; the child answers with one line of JSON on stdout for its start and for every call.
+The other end is ``child``. The parent starts it and asks; the child answers with one line of JSON on stdout for its start and
+for every call.
 """
 
 from __future__ import annotations
@@ -13,8 +14,6 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import IO, Any, Literal
-
-from jaxftc.cli import common
 
 
 @dataclasses.dataclass(frozen=True)
@@ -42,7 +41,7 @@ class Worker:
         self.task = task
         text = json.dumps(dataclasses.asdict(task))
         self._child = subprocess.Popen(
-            [sys.executable, "-m", "benchmarks.worker", text],
+            [sys.executable, "-m", "benchmarks.child", text],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=environment(cache),
@@ -112,24 +111,3 @@ def _pipe(pipe: IO[str] | None) -> IO[str]:
     if pipe is None:
         raise Failed("the worker has no pipe")
     return pipe
-
-
-def main(task: Task) -> None:
-    """The child's end: its settings, before anything imports JAX."""
-    if task.cores is not None and hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: task.cores])
-    options = common.Options(
-        engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
-    )
-    common.prepare(options, many=task.what in ("loop", "gradient"), devices=task.what == "gradient")  # as the commands do
-    if task.what == "tick":  # as a control loop does, see jaxftc.Tick
-        import jax
-
-        jax.config.update("jax_cpu_enable_async_dispatch", False)
-    from benchmarks import child
-
-    child.serve(task, options)
-
-
-if __name__ == "__main__":
-    main(Task(**json.loads(sys.argv[1])))

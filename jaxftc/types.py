@@ -31,7 +31,6 @@ class Verdict(IntFlag):
 
 
 LABELS = ("normal", "actuator", "sensor", "both")  # of the verdicts 0 to 3
-ACTUATOR, SENSOR = Verdict.ACTUATOR, Verdict.SENSOR  # as the schemes import them
 
 
 class Reference(NamedTuple):

@@ -9,7 +9,7 @@ from jaxftc.cli import common
 from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
-    from jaxftc.paper.experiment import Experiment, Row
+    from jaxftc.paper.results import Experiment, Row
 
 
 @dataclasses.dataclass

@@ -4,32 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.evaluation import metrics
+from jaxftc.paper.results import Arx, Claim, Comparison, Experiment, Row
 from jaxftc.scenarios.scenario import CONDITIONS, PAPER_TORQUE
-
-if TYPE_CHECKING:
-    from jaxftc.paper.experiment import Arx, Comparison, Experiment, Row
 
 TIE = 0.02  # relative difference below which two figures are called equal
 ARX_DEG = 0.05  # the paper's bound on the healthy error
 FIGURES = {"actuator": "12", "sensor": "13", "both": "14"}  # residuals by condition
-
-
-class Claim(NamedTuple):
-    """A claim of the paper, our number, and whether it was met."""
-
-    id: str
-    figure: str  # number of the paper's figure; 15b is ours, beside its 15
-    claim: str
-    value: float
-    unit: str
-    met: bool
-    detail: str
 
 
 def judge(config: Config, experiment: Experiment) -> Iterator[Claim]:

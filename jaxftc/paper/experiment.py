@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,8 @@ from jaxftc.compile.xla import jit
 from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.evaluation import metrics
 from jaxftc.gains import Gains
-from jaxftc.paper.claims import Claim, judge
+from jaxftc.paper.claims import judge
+from jaxftc.paper.results import Arx, Comparison, Experiment, Row
 from jaxftc.robot.dynamics import ENGINES
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_scenario, stack, trail
 from jaxftc.simulation.closed_loop import Trace, blank_trace, check, program_kind, watch
@@ -34,60 +35,6 @@ T_95 = 2.776  # Student's t, two-sided 95 %, SEEDS - 1 degrees of freedom
 WRONG = (("healthy", 0.1), ("actuator", 3.0))  # Figure 7: a condition, and the factor that makes its thresholds wrong
 PLAIN = len(CONDITIONS) + 1 + len(WRONG)  # runs whose traces are kept: the conditions, healthy once more, wrong thresholds
 LAST = OBSERVERS[-1], CONTROLS[-1]
-
-
-class Row(NamedTuple):
-    """One condition with one observer and one controller."""
-
-    condition: str
-    observer: str
-    controller: str
-    fault_tau_rms_nm: float
-    fault_q_rms_deg: float
-    delay_s: float | None
-    isolated: bool
-    false_alarm_s: float | None
-    tracking_rms_deg: float
-    chattering: float
-
-
-class Comparison(NamedTuple):
-    """Two controllers in one condition at equal chattering, over the seeds."""
-
-    condition: str
-    before: str
-    after: str
-    seeds: int
-    chattering: float  # 1/s, at which both were read off
-    louder: bool  # ``before`` chatters more than that even at its calmest, where it was read off
-    before_deg: float  # tracking rms, geometric mean
-    after_deg: float
-    change: tuple[float, float, float]  # relative: mean, and 95 % interval from low to high
-
-    @property
-    def word(self) -> str:
-        """What became of the error: falls, rises or tie."""
-        return "falls" if self.change[2] < 0 else "rises" if self.change[1] > 0 else "tie"
-
-
-class Arx(NamedTuple):
-    """The ARX-Laguerre model identified from one healthy run, on another: same motion, other noise."""
-
-    log: identify.Log
-    free_run: np.ndarray  # [T, n] rad, predicted from the first reading and the torques alone
-    errors: identify.Errors
-
-
-class Experiment(NamedTuple):
-    """Everything that the table, the claims and the report need."""
-
-    rows: list[Row]
-    comparisons: list[Comparison]
-    traces: dict[tuple[str, str], list[dict[str, np.ndarray]]]  # (observer, controller) -> columns by condition
-    wrong: list[dict[str, np.ndarray]]  # columns of the runs of WRONG, T-S with AFESMC
-    curves: dict[str, np.ndarray]  # controller -> (chattering 1/s, tracking rms rad) [2, factors, seeds, conditions]
-    arx: Arx
-    claims: list[Claim]
 
 
 def run(config: Config, gains: Gains, key: Array) -> Experiment:

@@ -14,7 +14,8 @@ from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.fuzzy.membership import share
 from jaxftc.gains import Gains
 from jaxftc.paper.claims import ARX_DEG
-from jaxftc.paper.experiment import SEEDS, SWEEP, WRONG, Experiment
+from jaxftc.paper.experiment import SEEDS, SWEEP, WRONG
+from jaxftc.paper.results import Experiment
 from jaxftc.report.figures import (
     COLOURS,
     LIMIT,

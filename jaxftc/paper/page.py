@@ -19,7 +19,7 @@ from jaxftc.scenarios.scenario import PAPER_ANGLE, PAPER_TORQUE, PAPER_WINDOW
 
 if TYPE_CHECKING:
     from jaxftc.paper.claims import Claim
-    from jaxftc.paper.experiment import Experiment, Row
+    from jaxftc.paper.results import Experiment, Row
 
 SETS = ("NB", "NM", "NS", "Z", "PS", "PM", "PB")
 LEVELS = ("PS", "PM", "PB")

@@ -8,7 +8,7 @@ with a leading axis. They may be traced; ``joint`` may not.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, TypeVar, Unpack
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,8 +19,7 @@ from jaxftc import checks
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.types import Array
 
-if TYPE_CHECKING:
-    from jaxftc.scenarios.scenario import Scenario
+S = TypeVar("S")  # Scenario, which has these functions as methods
 
 
 class Law(TypedDict, total=False):
@@ -32,7 +31,7 @@ class Law(TypedDict, total=False):
     duty: ArrayLike  # 1, share of the period in which it is there
 
 
-def with_actuator_bias(scenario: Scenario, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_actuator_bias(scenario: S, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """A torque added to the motor's.
 
     Args:
@@ -51,63 +50,61 @@ def with_actuator_bias(scenario: Scenario, joint: int, torque: ArrayLike, onset:
     return _with(scenario, "fault_tau", Actuator.BIAS, joint, torque, onset, law)
 
 
-def with_actuator_loss(scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_actuator_loss(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """A share, 0 to 1, of the commanded torque is lost; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_tau", Actuator.LOSS, joint, _share(share), onset, law)
 
 
-def with_actuator_saturation(
-    scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]
-) -> Scenario:
+def with_actuator_saturation(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """Only a share, 0 to 1, of the torque limit is left; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_tau", Actuator.SATURATION, joint, _share(share), onset, law)
 
 
-def with_stuck_actuator(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_stuck_actuator(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The torque stays what it was at onset; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_tau", Actuator.STUCK, joint, 0.0, onset, law)
 
 
-def with_encoder_bias(scenario: Scenario, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_encoder_bias(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """An angle, rad, added to the reading; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_q", Sensor.BIAS, joint, angle, onset, law)
 
 
-def with_encoder_drift(scenario: Scenario, joint: int, rate: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_encoder_drift(scenario: S, joint: int, rate: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The reading drifts off at a rate, rad/s; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_q", Sensor.DRIFT, joint, rate, onset, law)
 
 
-def with_encoder_scale(scenario: Scenario, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_encoder_scale(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """A share of the angle is added to the reading; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_q", Sensor.SCALE, joint, share, onset, law)
 
 
-def with_encoder_noise(scenario: Scenario, joint: int, factor: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_encoder_noise(scenario: S, joint: int, factor: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The encoder's noise is a factor larger; the rest as ``with_actuator_bias``."""
     _require("factor", factor, 0.0, math.inf)
     return _with(scenario, "fault_q", Sensor.NOISE, joint, factor, onset, law)
 
 
-def with_frozen_encoder(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_frozen_encoder(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The reading stays what it was at onset; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_q", Sensor.FREEZE, joint, 0.0, onset, law)
 
 
-def with_encoder_dropout(scenario: Scenario, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> Scenario:
+def with_encoder_dropout(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """There is no reading; the rest as ``with_actuator_bias``."""
     return _with(scenario, "fault_q", Sensor.DROPOUT, joint, 0.0, onset, law)
 
 
 def _with(
-    scenario: Scenario,
+    scenario: Any,
     channel: Literal["fault_tau", "fault_q"],
     kind: Actuator | Sensor,
     joint: int,
     magnitude: ArrayLike,
     onset: ArrayLike,
     law: Law,
-) -> Scenario:
+) -> Any:
     axes, shape = np.shape(scenario.id), np.shape(scenario.q_start)
     if shape[:-1] != axes:
         raise ValueError(
