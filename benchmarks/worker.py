@@ -1,7 +1,7 @@
 """A workload in a process of its own: fresh caches, its own devices and cores, its own peak memory.
 
-The other end is ``child``. The parent starts it and asks; the child answers with one line of JSON on stdout for its start and
-for every call.
+The other end is ``child``. The parent starts it and asks; the child answers with one line of JSON on stdout for its start
+and for every call.
 """
 
 from __future__ import annotations
