@@ -36,11 +36,11 @@ _ROOMS = {
     "types": ("Measurement", "Output", "Reference", "Verdict"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
-_MODULES = {  # public modules, and what is imported for them; of a room also the module that the docs reach through it
+_MODULES = {  # public modules, and where they are
     "identify": "identify",
     "logs": "logs",
     "metrics": "evaluation.metrics",
-    "observer": "observer.stability",
+    "observer": "observer",
 }
 
 

@@ -296,7 +296,7 @@ def test_zero_gains_leave_the_open_model(config):
 
 def test_stability_of_the_torque_form_is_refused(paper_arm):
     config = jaxftc.Config(paper_arm, engine="chain", input="torque")
-    with pytest.raises(ValueError, match=r'spectral_radius needs input="rigid_body"; with "torque" the joints couple'):
+    with pytest.raises(ValueError, match=r'stability needs input="rigid_body"; with "torque" the joints couple'):
         stability.spectral_radius(config, jaxftc.default_gains(config))
 
 

@@ -74,9 +74,7 @@ def error_matrices(config: Config, gains: Gains, fuzzy: Flag | None = None) -> A
     so that all entries are angles.
     """
     if config.input != "rigid_body":
-        raise ValueError(
-            'spectral_radius needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop'
-        )
+        raise ValueError('stability needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop')
     arx, observer = gains.arx, gains.observer
     strongest = jnp.maximum(observer.alpha_f1, observer.alpha_f3)
     on = (0.0, 1.0 * (config.observer == "ts" if fuzzy is None else fuzzy))
