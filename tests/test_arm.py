@@ -14,7 +14,8 @@ from hypothesis.extra.numpy import arrays
 
 import jaxftc
 from benchmarks.arms import serial
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.numerics.barrier import unstack
+from jaxftc.robot import dynamics, mass_matrix, rigid_body
 from jaxftc.robot.model import PAYLOAD, compile_robot
 from jaxftc.robot.puma560 import TORQUE_LIMIT
 from jaxftc.scenarios.scenario import CONDITIONS
@@ -33,7 +34,7 @@ speeds = arrays(float, 6, elements=st.floats(-5, 5))
 
 
 @jax.jit
-def mass_matrix(q):
+def inertia(q):
     rows = dynamics.nominal_mass(jaxftc.puma560(), rigid_body.pose(jaxftc.puma560(), q)).rows
     return jnp.stack([jnp.stack([jnp.broadcast_to(entry, q.shape[1:]) for entry in row]) for row in rows])
 
@@ -95,7 +96,7 @@ def test_gravity_load_of_the_literature(puma):
 
 
 def test_inertia_of_the_literature():
-    matrix = np.asarray(mass_matrix(QN))
+    matrix = np.asarray(inertia(QN))
     np.testing.assert_allclose(np.diag(matrix), [3.6594, 4.4137, 0.9378, 0.1925, 0.1713, 0.1941], atol=5e-5)
     np.testing.assert_allclose([matrix[0, 1], matrix[0, 2], matrix[1, 2]], [-0.4044, 0.1006, 0.3509], atol=5e-5)
 
@@ -149,7 +150,7 @@ def test_one_step_in_single_precision(puma, engine, which):
 
 @given(angles)
 def test_mass_matrix_is_symmetric_and_positive_definite(q):
-    matrix = np.asarray(mass_matrix(q))
+    matrix = np.asarray(inertia(q))
     np.testing.assert_array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0.01  # kg m^2, less than the smallest motor's
 
@@ -168,7 +169,7 @@ def test_solve_is_that_of_numpy():
         root = draw.normal(size=(50, n, n))
         matrix, right = root @ root.transpose(0, 2, 1) + 0.1 * np.eye(n), draw.normal(size=(50, n))
         rows = [[jnp.asarray(matrix[:, i, j]) for j in range(n)] for i in range(n)]
-        got = np.stack(rigid_body.solve(rows, list(jnp.asarray(right.T))), axis=-1)
+        got = np.stack(mass_matrix.solve(rows, list(jnp.asarray(right.T))), axis=-1)
         np.testing.assert_allclose(got, np.linalg.solve(matrix, right[..., None])[..., 0], rtol=1e-9, atol=1e-9)
 
 
@@ -182,7 +183,7 @@ def test_the_slope_of_solve_is_that_of_numpys_solution():
 
     def solution(matrix, right):
         rows = [[0.25 if {i, j} == {0, 2} else matrix[i, j] for j in range(3)] for i in range(3)]
-        return jnp.stack(rigid_body.solve(rows, list(right)))
+        return jnp.stack(mass_matrix.solve(rows, list(right)))
 
     x = np.linalg.solve(matrix, right)
     slope = np.linalg.solve(matrix, push - change @ x)
@@ -204,7 +205,7 @@ def test_links_as_base_parameters_move_as_the_links_themselves(puma, arm):
     links[-1] = rigid_body._join(links[-1], rigid_body.link_inertia(robot.payload_link, payload))
     grouped, at = rigid_body.scaled_inertias(robot, mass, payload), rigid_body.pose(robot, q)
     assert all(isinstance(link.mass, float) and link.mass == link.moment[2] == link.tensor[1] == 0 for link in grouped)
-    lanes = rigid_body.lanes(qd), rigid_body.lanes(qdd)
+    lanes = unstack(qd), unstack(qdd)
     forces = [np.asarray(rigid_body.newton_euler(robot, bodies, at, *lanes)) for bodies in (grouped, links)]
     np.testing.assert_allclose(*forces, rtol=1e-9, atol=1e-9)
     matrices = [np.asarray(rigid_body.mass_matrix(robot, bodies, at).rows) for bodies in (grouped, links)]
@@ -216,7 +217,7 @@ def powers(q, qd, qdd):
     """(power into the links, rate of their kinetic energy) W, gravity and friction left out."""
     robot = jaxftc.puma560()
     at, links = rigid_body.pose(robot, q), rigid_body.nominal_inertias(robot)
-    torque = jnp.stack(rigid_body.newton_euler(robot, links, at, rigid_body.lanes(qd), rigid_body.lanes(qdd), gravity=False))
+    torque = jnp.stack(rigid_body.newton_euler(robot, links, at, unstack(qd), unstack(qdd), gravity=False))
 
     def energy(q, qd):
         rows = rigid_body.mass_matrix(robot, links, rigid_body.pose(robot, q)).rows
@@ -256,7 +257,7 @@ def test_nothing_moves_without_a_torque_where_there_is_no_gravity(puma):
     weightless = dataclasses.replace(puma, gravity=np.zeros(3), fingerprint="puma560 in space")
     assert not np.any(inverse(weightless, QN, np.zeros(6), np.zeros(6)))
     tau = np.arange(6.0)
-    expected = np.linalg.solve(np.asarray(mass_matrix(QN)), tau)
+    expected = np.linalg.solve(np.asarray(inertia(QN)), tau)
     np.testing.assert_allclose(forward(weightless, QN, np.zeros(6), tau, engine="chain"), expected, rtol=1e-9)
 
 

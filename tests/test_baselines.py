@@ -12,7 +12,7 @@ import jaxftc
 from jaxftc.config import SCHEMES
 from jaxftc.gains import align
 from jaxftc.observer import super_twisting
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import compile_robot
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
@@ -107,7 +107,7 @@ def test_computed_torque_tracks_the_papers_motion(config):
 
 
 def matrix(mass, q):
-    return jnp.stack([rigid_body.stack(row, q) for row in mass.rows])
+    return jnp.stack([lanes.stack(row, q) for row in mass.rows])
 
 
 # Momentum observer.

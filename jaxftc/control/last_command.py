@@ -7,9 +7,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
-from jaxftc.robot.rigid_body import MassMatrix
 from jaxftc.types import Array
 
 
@@ -34,6 +34,6 @@ def applied_acceleration(robot: Robot, command: LastCommand, tau: Array) -> tupl
     The command was computed for ``command.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
     A torque that is not finite counts as the command itself, within the limits.
     """
-    limit = rigid_body.trailing_constant(robot.torque_limit, command.tau)
+    limit = lanes.trailing_constant(robot.torque_limit, command.tau)
     tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(command.tau, limit))
     return tau, command.qdd + MassMatrix.unpacked(command.mass).solve(tau - command.tau)

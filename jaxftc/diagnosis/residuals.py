@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from jaxftc.observer.cascade import Estimate
-from jaxftc.robot.rigid_body import MassMatrix
+from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.types import Array
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from jaxftc.config import Config
 from jaxftc.evaluation.metrics import RECOVERY, SETTLE
 from jaxftc.numerics.batch import trailing
-from jaxftc.robot import rigid_body
+from jaxftc.robot import lanes
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array
@@ -112,7 +112,7 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
     """One tick: ``tick`` is a ``Trace`` of a moment, [n, ...]."""
     score, out, t = state.score, tick.out, tick.t
     limit = scale(config, tick.q)
-    limited = rigid_body.trailing_constant(np.isfinite(config.robot.torque_limit), tick.q) > 0
+    limited = lanes.trailing_constant(np.isfinite(config.robot.torque_limit), tick.q) > 0
     tau = out.tau / limit
     change = jnp.where(t > 0, tau - state.tau, 0.0)
     filtered, rough = _high_pass(config, state.rough, tau, t)
@@ -175,7 +175,7 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
 def scale(config: Config, like: Array) -> Array:
     """Torque limits [n, ...] N m; 1 where there is none."""
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
-    return rigid_body.trailing_constant(limit, like)
+    return lanes.trailing_constant(limit, like)
 
 
 def _high_pass(config: Config, state: Array, x: Array, t: Array) -> tuple[Array, Array]:

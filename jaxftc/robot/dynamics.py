@@ -17,8 +17,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
+from jaxftc.numerics.barrier import unstack
 from jaxftc.numerics.batch import trailing
-from jaxftc.robot import mjx, rigid_body
+from jaxftc.robot import lanes, mjx, rigid_body
+from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
 from jaxftc.types import Array
 
@@ -46,27 +48,27 @@ def nominal_plant(robot: Robot) -> Plant:
 def coulomb(robot: Robot, qd: Array) -> Array:
     """Coulomb friction [n, ...] N m, direction-dependent: Tc+ at high positive speed, -Tc- at high negative speed."""
     t = jnp.tanh(qd / robot.coulomb_speed)
-    positive = rigid_body.trailing_constant(robot.coulomb_positive, qd)
-    negative = rigid_body.trailing_constant(robot.coulomb_negative, qd)
+    positive = lanes.trailing_constant(robot.coulomb_positive, qd)
+    negative = lanes.trailing_constant(robot.coulomb_negative, qd)
     return 0.5 * ((positive + negative) * t + (positive - negative) * t * t)
 
 
 def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float = 0.0) -> Array:
     """Qdd [n, ...] rad/s^2 for a delivered torque; with dt > 0 viscous friction acts implicitly, as MuJoCo's Euler does."""
     plant = _align(plant, qd.ndim - 1)
-    damping = plant.damping * rigid_body.trailing_constant(robot.damping, qd)
-    armature = plant.armature * rigid_body.trailing_constant(robot.armature, qd)
+    damping = plant.damping * lanes.trailing_constant(robot.damping, qd)
+    armature = plant.armature * lanes.trailing_constant(robot.armature, qd)
     drive = tau - damping * qd - plant.coulomb * coulomb(robot, qd)
     if engine == "mjx":
         matrix, bias = mjx.mass_and_bias(robot, plant.mass, plant.payload, q, qd)
-        mass = rigid_body.MassMatrix.of(matrix)
+        mass = MassMatrix.of(matrix)
         drive = drive - bias
     else:
         at = rigid_body.pose(robot, q)
         inertias = rigid_body.scaled_inertias(robot, plant.mass, plant.payload)
         mass = rigid_body.mass_matrix(robot, inertias, at)
-        drive = drive - rigid_body.stack(rigid_body.newton_euler(robot, inertias, at, rigid_body.lanes(qd), None), drive)
-    return mass.plus_diagonal(rigid_body.lanes(armature + dt * damping)).solve(drive)
+        drive = drive - lanes.stack(rigid_body.newton_euler(robot, inertias, at, unstack(qd), None), drive)
+    return mass.plus_diagonal(unstack(armature + dt * damping)).solve(drive)
 
 
 def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:
@@ -97,12 +99,12 @@ def inverse_dynamics(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
 def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> Array:
     """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
     inertias = rigid_body.nominal_inertias(robot)
-    links = rigid_body.newton_euler(robot, inertias, at, rigid_body.lanes(qd), rigid_body.lanes(qdd))
-    motor = rigid_body.trailing_constant(robot.armature, qdd) * qdd + rigid_body.trailing_constant(robot.damping, qd) * qd
-    return rigid_body.stack(links, motor) + motor
+    links = rigid_body.newton_euler(robot, inertias, at, unstack(qd), unstack(qdd))
+    motor = lanes.trailing_constant(robot.armature, qdd) * qdd + lanes.trailing_constant(robot.damping, qd) * qd
+    return lanes.stack(links, motor) + motor
 
 
-def nominal_mass(robot: Robot, at: rigid_body.Pose) -> rigid_body.MassMatrix:
+def nominal_mass(robot: Robot, at: rigid_body.Pose) -> MassMatrix:
     """M(q) of the nominal arm, motor inertia included."""
     links = rigid_body.mass_matrix(robot, rigid_body.nominal_inertias(robot), at)
     return links.plus_diagonal([float(armature) for armature in robot.armature])

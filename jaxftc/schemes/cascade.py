@@ -18,8 +18,8 @@ from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
 from jaxftc.observer import cascade
 from jaxftc.observer.cascade import Estimate
-from jaxftc.robot import dynamics, rigid_body
-from jaxftc.robot.rigid_body import MassMatrix
+from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
@@ -160,7 +160,7 @@ def _report(
     """What the tick says."""
     tau = command.tau
     return Output(
-        tau=smooth.saturate(tau, rigid_body.trailing_constant(config.robot.torque_limit, tau)),
+        tau=smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, tau)),
         fault_tau_hat=residual.tau,
         fault_q_hat=seen.fault_q,
         residual_tau=residual.tau,

@@ -18,7 +18,7 @@ from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.types import Array, Measurement, Output, Reference
 
 
@@ -107,7 +107,7 @@ def report(
     fault_tau, fault_q = (zero if fault is None else fault for fault in (fault_tau, fault_q))
     verdict = jnp.zeros(q.shape, jnp.int32) if verdict is None else verdict
     return Output(
-        tau=smooth.saturate(command.tau, rigid_body.trailing_constant(config.robot.torque_limit, q)),
+        tau=smooth.saturate(command.tau, lanes.trailing_constant(config.robot.torque_limit, q)),
         fault_tau_hat=fault_tau,
         fault_q_hat=fault_q,
         residual_tau=fault_tau,

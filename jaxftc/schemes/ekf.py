@@ -25,7 +25,7 @@ from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.robot import dynamics, rigid_body
-from jaxftc.robot.rigid_body import MassMatrix
+from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
 from jaxftc.types import Array, Measurement, Output, Reference
 

@@ -28,7 +28,8 @@ from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.numerics.barrier import unstack
+from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import computed_torque
 from jaxftc.schemes.computed_torque import Motion
@@ -96,13 +97,13 @@ def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:
 
     def of_links(angle: Array) -> Array:
         at = rigid_body.pose(robot, angle)
-        return rigid_body.stack(rigid_body.newton_euler(robot, links, at, None, rigid_body.lanes(qd), gravity=False), qd)
+        return lanes.stack(rigid_body.newton_euler(robot, links, at, None, unstack(qd), gravity=False), qd)
 
     p, turning = jax.jvp(of_links, (q,), (qd,))  # M qd, M' qd
-    bias = rigid_body.newton_euler(robot, links, rigid_body.pose(robot, q), rigid_body.lanes(qd), None)  # C qd + g
-    friction = rigid_body.trailing_constant(robot.damping, qd) * qd + dynamics.coulomb(robot, qd)
-    drift = turning - rigid_body.stack(bias, qd) - friction
-    return p + rigid_body.trailing_constant(robot.armature, qd) * qd, drift
+    bias = rigid_body.newton_euler(robot, links, rigid_body.pose(robot, q), unstack(qd), None)  # C qd + g
+    friction = lanes.trailing_constant(robot.damping, qd) * qd + dynamics.coulomb(robot, qd)
+    drift = turning - lanes.stack(bias, qd) - friction
+    return p + lanes.trailing_constant(robot.armature, qd) * qd, drift
 
 
 def observe(gains: BaselineGains, before: Observer, now: tuple[Array, Array], tau: Array, dt: float) -> Observer:

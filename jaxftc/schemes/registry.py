@@ -17,7 +17,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.schemes import cascade, computed_torque, ekf, momentum
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
@@ -73,7 +73,7 @@ def holding_torque(config: Config, q: Array) -> Array:
     """Command [n, ...] N m that holds the nominal arm at rest in q [n, ...] rad, within the limits."""
     zero = jnp.zeros_like(q)
     tau = dynamics.nominal_torque(config.robot, rigid_body.pose(config.robot, q), zero, zero)
-    return smooth.saturate(tau, rigid_body.trailing_constant(config.robot.torque_limit, q))
+    return smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, q))
 
 
 def _signals(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:

@@ -20,7 +20,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.scenarios.scenario import Scenario
@@ -134,7 +134,7 @@ def advance(
     fault, y, angle_fault = fault_injection.read(fault_q, loop.fault, t, loop.q, reading_error)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
     state, out = registry.tick(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
-    limit = rigid_body.trailing_constant(robot.torque_limit, loop.q)
+    limit = lanes.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
     fault, delivered = fault_injection.deliver(fault_tau, fault, t, out.tau, limit)
     q, qd = dynamics.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, constant * delivered, config.dt)
