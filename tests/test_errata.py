@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 from twins import cascade, control, fuzzy, laguerre, printed, reference, threshold
 
+pytestmark = pytest.mark.slow  # proofs of what is printed, not tests of what runs
+
 DT = 1e-3  # s
 XI = 0.8
 KAPPA = laguerre.exact_kappa(XI, DT)
