@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 import jaxftc
 from jaxftc.scenarios.distributions import Choice, Normal, Uniform, extent, quantile
 from jaxftc.scenarios.preset import Encoder, Incipient, Intermittent, Joints, Motion, PlantLaws, Preset, Shares, Times
+from jaxftc.scenarios.preset_file import as_dict, load_preset
 from jaxftc.scenarios.preset_kinds import (
     ActuatorFaults,
     AngleBias,
@@ -28,7 +29,7 @@ from jaxftc.scenarios.preset_kinds import (
     Sized,
     TorqueBias,
 )
-from jaxftc.scenarios.sample import PRESET_NAMES, as_dict, load_preset
+from jaxftc.scenarios.presets import PRESET_NAMES
 
 BUILT_IN = importlib.resources.files("jaxftc.scenarios.presets")
 

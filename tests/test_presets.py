@@ -16,8 +16,10 @@ from jaxftc.robot.model import compile_robot
 from jaxftc.scenarios.distributions import Choice, Normal, Uniform, quantile
 from jaxftc.scenarios.faults import Actuator, Sensor
 from jaxftc.scenarios.preset import Encoder, Joints, Motion, PlantLaws, Preset, Shares
+from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.preset_kinds import ActuatorFaults, AngleBias, Kind, SensorFaults, Share, TorqueBias, kinds
-from jaxftc.scenarios.sample import PRESET_NAMES, draw_all, load_preset
+from jaxftc.scenarios.presets import PRESET_NAMES
+from jaxftc.scenarios.sample import draw_all
 
 LIMIT = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])
 DRAWN = PRESET_NAMES[1:]

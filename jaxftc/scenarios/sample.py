@@ -25,7 +25,6 @@ from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
-from jaxftc.scenarios.presets import PRESET_NAMES as PRESET_NAMES
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
 from jaxftc.scenarios.uniforms import UniformStream
 from jaxftc.types import Array
