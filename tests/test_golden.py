@@ -12,7 +12,7 @@ def kept():
         return dict(file)
 
 
-def compare(kept, part, found):
+def assert_as_kept(kept, part, found):
     assert {f"{part}/{name}" for name in found} == {name for name in kept if name.startswith(f"{part}/")}
     for name, value in found.items():
         wanted = kept[f"{part}/{name}"]
@@ -25,13 +25,13 @@ def compare(kept, part, found):
 
 @pytest.mark.parametrize("name", runs.SCHEMES)
 def test_the_run_of_a_scheme(kept, name):
-    compare(kept, f"traces.{name}", runs.traces(name))
+    assert_as_kept(kept, f"traces.{name}", runs.traces(name))
 
 
 def test_the_rows_of_a_campaign(kept):
-    compare(kept, "rows", runs.rows())
+    assert_as_kept(kept, "rows", runs.rows())
 
 
 @pytest.mark.slow
 def test_the_gains_of_a_tune(kept):
-    compare(kept, "tuned", runs.tuned())
+    assert_as_kept(kept, "tuned", runs.tuned())

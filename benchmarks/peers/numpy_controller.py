@@ -111,9 +111,9 @@ class Controller:
         self.peak = np.where(alarmed, np.maximum(self.peak, size), 0.0)
         fallen = ~self.tau_on | (size < sensor_check.FALLEN * self.peak)
         excess = self.peak / level.alpha_tau
-        kick = was_on & (self.age < config.transient_ticks) & fallen & (excess >= excess.max())
+        now = was_on & (self.age < config.transient_ticks) & fallen & (excess >= excess.max())
         self.quiet = np.where(self.tau_on | self.q_on, 0.0, self.quiet + 1)
-        self.transient = kick | (self.transient & (self.quiet < sensor_check.TRANSIENT_MEMORY))
+        self.transient = now | (self.transient & (self.quiet < sensor_check.TRANSIENT_MEMORY))
         self.jumps = sensor_check.JUMP_MEMORY * self.jumps + seen.h_s
         self.signed = sensor_check.JUMP_MEMORY * self.signed + seen.h_s * seen.side
         unchanged = seen.missing | (seen.y == self.last)

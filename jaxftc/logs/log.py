@@ -1,4 +1,4 @@
-"""A recorded motion, what the doors refuse of it, and the model's input made from it."""
+"""A recorded motion, what is refused of it, and the model's input made from it."""
 
 from __future__ import annotations
 

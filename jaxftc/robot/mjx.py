@@ -1,7 +1,7 @@
 """MuJoCo MJX as a plant engine: smooth dynamics only. The one file that imports ``mujoco.mjx``.
 
-MJX computes the mass matrix and the bias force; friction, motor inertia and the solution are the door's business
-(dynamics.py). MJX works on one arm, so scenario axes are mapped inside this door.
+MJX computes the mass matrix and the bias force; friction, motor inertia and the solution are in
+``dynamics``. MJX works on one arm, so scenario axes are mapped here.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The door to the schemes: the paper's cascade, or one of the baselines that it is measured against.
+"""The table of schemes: the paper's cascade, and the baselines that it is measured against.
 
-``init`` and ``step`` are what runs on a robot, whatever the scheme. What crosses the door is checked and made whole here, so
-that no scheme needs to. Every scheme's state has ``q`` [n, ...] rad, the angle that it takes the arm to be at, and
+``init`` and ``step`` are what runs on a robot, whatever the scheme. What comes in is checked and made whole here, so that no
+scheme needs to. Every scheme's state has ``q`` [n, ...] rad, the angle that it takes the arm to be at, and
 ``command.tau`` [n, ...] N m, its last command before the limits.
 """
 
