@@ -9,11 +9,10 @@ from jaxftc import checks
 from jaxftc.fuzzy.rule_table import TABLES
 from jaxftc.robot.dynamics import ENGINES, Engine
 from jaxftc.robot.model import Robot
+from jaxftc.variants import SCHEMES
 
-Scheme = Literal["cascade", "momentum", "ekf", "computed_torque"]
 Observer = Literal["pi", "eso", "ts", "eso_printed"]
 Control = Literal["smc", "esmc", "afesmc"]
-SCHEMES: tuple[str, ...] = ("cascade", "momentum", "ekf", "computed_torque")
 OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")  # the paper's ranking; "eso_printed" is "eso" without its erratum mended
 CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
 
@@ -31,7 +30,7 @@ class Config:
     t_final: float = 1.0  # s, end of the motion, t_f of Eq. (35); a multiple of dt
     duration: float | None = None  # s, length of a simulation, a multiple of dt; t_final if None
     engine: Engine = "mjx"  # plant dynamics
-    scheme: Scheme = "cascade"  # the paper's observer and controller, or a baseline in their place (jaxftc/baselines)
+    scheme: str = "cascade"  # the paper's observer and controller, or another of the table in jaxftc/variants.py
     observer: Observer = "ts"  # how much of the cascade runs: block 2, blocks 2 and 3 (Eq. (7) mended or printed), 2 to 4
     control: Control = "afesmc"  # Eq. (19), (24) or (30)
     order_a: int = 3  # Laguerre functions on the output
@@ -53,7 +52,7 @@ class Config:
             checks.positive("duration", self.duration, "seconds")
             checks.multiple("duration", self.duration, self.dt)
         checks.one_of("engine", self.engine, ENGINES)
-        checks.one_of("scheme", self.scheme, SCHEMES)
+        checks.one_of("scheme", self.scheme, tuple(SCHEMES))
         checks.one_of("observer", self.observer, (*OBSERVERS, "eso_printed"))
         checks.one_of("control", self.control, CONTROLS)
         checks.one_of("input", self.input, ("rigid_body", "torque"))

@@ -40,9 +40,9 @@ def of(config: Config) -> Stages:
     )
 
 
-def as_data(config: Config) -> Stages:
-    """The same as arrays: an argument of a program that serves every observer and controller."""
-    return Stages(*map(jnp.asarray, of(config)))
+def as_data(config: Config) -> Stages | None:
+    """The same as arrays, for a program that serves every observer and controller; None for a scheme without stages."""
+    return Stages(*map(jnp.asarray, of(config))) if config.scheme == "cascade" else None
 
 
 def general(config: Config) -> Config:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.config import SCHEMES
 from jaxftc.gains import align
 from jaxftc.observer import super_twisting
 from jaxftc.robot import dynamics, lanes, rigid_body
@@ -18,6 +17,7 @@ from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.schemes import ekf, momentum, registry
 from jaxftc.types import Verdict
+from jaxftc.variants import SCHEMES
 from tests.arms import three_hinges
 from tests.twins import printed
 from tuning import transform

@@ -14,7 +14,6 @@ import pytest
 
 import jaxftc
 from jaxftc import stages
-from jaxftc.config import SCHEMES
 from jaxftc.control import sliding_mode
 from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
 from jaxftc.gains import align
@@ -23,6 +22,7 @@ from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.scenarios.scenario import CONDITIONS
 from jaxftc.types import Verdict
+from jaxftc.variants import SCHEMES
 from tests.arms import three_hinges
 
 N, ALL = three_hinges().n, tuple(range(6))  # joints: of the arm of the contract; of the PUMA, which the rest runs on

@@ -17,8 +17,9 @@ import pytest
 
 import jaxftc
 from jaxftc.campaigns.run import replay
-from jaxftc.config import CONTROLS, OBSERVERS, SCHEMES
+from jaxftc.config import CONTROLS, OBSERVERS
 from jaxftc.scenarios.scenario import take
+from jaxftc.variants import SCHEMES
 from tests import grid
 from tests.grid import Row
 from tuning import OBJECTIVE, Problem

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.config import SCHEMES
 from jaxftc.scenarios.faults import Actuator, Sensor
 from jaxftc.scenarios.reference import cubic
+from jaxftc.variants import SCHEMES
 from tests.arms import three_hinges
 
 N, KEY = three_hinges().n, 11

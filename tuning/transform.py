@@ -27,10 +27,11 @@ import numpy as np
 from jaxftc import checks, stages
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.gains import BLOCKS, INCREASING, Gains, Spec, shape_of, specs
+from jaxftc.gains import BLOCKS, INCREASING, NAMES, Gains, Spec, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import arx
 from jaxftc.observer.readout import exact
+from jaxftc.schemes.registry import scheme
 from jaxftc.stages import Stages
 from jaxftc.types import Array
 
@@ -38,37 +39,11 @@ REACH = math.log(20.0)
 INSET = 0.01  # of the interval
 SMALLEST = {"control.k_b": 1.0, "diagnosis.lead": 1000.0}  # 1/s, 1/s^2; for the others a thousandth of their default
 POLES = "arx.xi_a"
-SETS = ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")
-FUZZY_OBSERVER = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths")
-FUZZY_OBSERVER += ("jump_centres", "jump_widths")
-
-
-COMPUTED_TORQUE = ("baseline.kp", "baseline.kd")
-USED_BY = {  # of all gains, those that a baseline uses
-    "computed_torque": (*COMPUTED_TORQUE, "baseline.speed_weight"),
-    "momentum": (*COMPUTED_TORQUE, "baseline.speed_weight", "baseline.rate", "diagnosis.alpha_tau"),
-    "ekf": (
-        *COMPUTED_TORQUE,
-        *(f"baseline.{name}" for name in ("noise_y", "walk_qd", "walk_psi", "walk_b")),
-        *("diagnosis.alpha_tau", "diagnosis.alpha_q"),
-    ),
-}
 
 
 def idle(config: Config) -> set[str]:
     """Gains that a config does not use, so that changing them does nothing."""
-    if config.scheme != "cascade":
-        return {f"{block}.{name}" for block, name, _ in specs()} - set(USED_BY[config.scheme])
-    baseline = tuple(name for block, name, _ in specs() if block == "baseline")
-    unused: dict[str, tuple[str, ...]] = {"observer": (), "control": (), "baseline": baseline}
-    if config.observer != "ts":
-        unused["observer"] += FUZZY_OBSERVER
-    if config.observer == "pi":
-        unused["observer"] += ("alpha_sm", "alpha_sm0", "eps")
-    unused["control"] += ("alpha_sm2",) if config.control == "smc" else ("alpha_sm",)
-    if config.control != "afesmc":
-        unused["control"] += SETS
-    return {f"{block}.{name}" for block, names in unused.items() for name in names}
+    return set(NAMES) - scheme(config).gains_used(config)
 
 
 def tunable(config: Config) -> tuple[str, ...]:
@@ -140,7 +115,7 @@ class Free(NamedTuple):
     coordinates: Array  # [layout.size] free coordinates of the start, see ``_to_free``
     spread: Array  # [layout.size, layout.size] 1 where an entry of theta (row) moves one of the layout (column), else 0
     gaps: Array  # [leaves] mean gap of set centres at the start, 1 for other gains
-    stages: Stages  # which observer and controller run
+    stages: Stages | None  # which observer and controller run
 
 
 def gains_at(layout: Layout, free: Free, theta: Array, widen: Array | float = 1.0) -> Gains:

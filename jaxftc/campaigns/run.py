@@ -97,10 +97,10 @@ def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tupl
 
 
 @functools.lru_cache(maxsize=16)
-def _program(config: Config) -> Callable[[Array, stages.Stages, Gains, Scenario], tuple[online.Score, Trace]]:
+def _program(config: Config) -> Callable[[Array, stages.Stages | None, Gains, Scenario], tuple[online.Score, Trace]]:
     """(key, stages, gains, scenarios with a leading axis) to (scores, trace of the first)."""
 
-    def block(key: Array, on: stages.Stages, gains: Gains, scenarios: Scenario) -> tuple[online.Score, Trace]:
+    def block(key: Array, on: stages.Stages | None, gains: Gains, scenarios: Scenario) -> tuple[online.Score, Trace]:
         true = online.truth(config, scenarios)
 
         def look(state: online.State, tick: Trace) -> tuple[online.State, Trace]:

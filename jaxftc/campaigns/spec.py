@@ -22,26 +22,16 @@ from jaxftc.gains_file import load_gains, save_gains
 from jaxftc.io.files import write_text
 from jaxftc.scenarios.preset import Preset
 from jaxftc.scenarios.preset_file import as_dict, load_preset
+from jaxftc.schemes.registry import scheme
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array
+from jaxftc.variants import variants
 from jaxftc.version import __version__
 
 CHUNK = 4096  # rows of a file
 HEALTHY = 8192  # healthy runs that thresholds are set on and checked on, half each
 CALIBRATION = 0x43414C49  # keeps the scenarios of a calibration apart from all others of a seed
 UNSEEN = 0x43414D50  # keeps a campaign's scenarios apart from those of a tuning seed with the same number
-SCHEMES: dict[str, dict[str, str]] = {  # a scheme's name and what it changes in the config
-    "cascade": {},
-    "pi": {"observer": "pi"},
-    "eso": {"observer": "eso"},
-    "eso_printed": {"observer": "eso_printed"},
-    "smc": {"control": "smc"},
-    "esmc": {"control": "esmc"},
-    "momentum": {"scheme": "momentum"},
-    "ekf": {"scheme": "ekf"},
-    "computed_torque": {"scheme": "computed_torque"},
-}
-SILENT = ("computed_torque",)  # has no diagnosis: no thresholds to set
 
 
 class Job(NamedTuple):
@@ -67,9 +57,9 @@ class Progress(NamedTuple):
     rate: float | None  # scenario-steps/s, storage included, from the second call of the compiled program on
 
 
-def scheme_config(base: Config, scheme: str) -> Config:
-    """The config of a scheme by its name in ``SCHEMES``."""
-    return dataclasses.replace(base, **SCHEMES[scheme])  # pyright: ignore[reportArgumentType]
+def variant(base: Config, name: str) -> Config:
+    """The config of a scheme, or of another of the variants that have a name."""
+    return dataclasses.replace(base, **variants()[name])  # pyright: ignore[reportArgumentType]
 
 
 def complete(
@@ -134,7 +124,7 @@ def begin(
         return job._replace(gains=load_gains(folder / store.GAINS, job.config)), manifest
     store.empty(folder)
     manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
-    if false_alarms is not None and request["scheme"] not in SILENT:
+    if false_alarms is not None and scheme(job.config).DIAGNOSES:
         found = set_thresholds(job, false_alarms, done)
         job = job._replace(gains=found.gains)
         manifest["calibration"] = as_record(found)
@@ -197,7 +187,7 @@ def load(folder: Path, base: Config) -> Job:
     """
     store.unaltered(folder)
     manifest = store.read_manifest(folder)
-    config = scheme_config(base, manifest["request"]["scheme"])
+    config = variant(base, manifest["request"]["scheme"])
     ours, theirs = describe(config), manifest["config"]
     other = [
         f"{name} {theirs.get(name)!r}, here {ours.get(name)!r}"

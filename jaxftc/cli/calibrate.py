@@ -47,14 +47,16 @@ class Calibrate(Laws):
 
         from jaxftc import save_gains
         from jaxftc.campaigns.calibrate import calibrate_on_logs
-        from jaxftc.campaigns.spec import SILENT, as_record, scheme_config, set_thresholds
+        from jaxftc.campaigns.spec import as_record, set_thresholds, variant
         from jaxftc.logs import read
+        from jaxftc.schemes.registry import scheme
 
-        if self.scheme in SILENT:
+        config = variant(self.base(), self.scheme)
+        if not scheme(config).DIAGNOSES:
             raise ValueError(
                 f"scheme {self.scheme!r} has no diagnosis, so there is no threshold to set; give another --scheme"
             )
-        job = self.job(scheme_config(self.base(), self.scheme))
+        job = self.job(config)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         folder = common.make_folder(self, "calibrate")

@@ -11,12 +11,16 @@ import tyro
 
 from jaxftc.cli import common
 from jaxftc.io.files import write_text
+from jaxftc.variants import variants
 
 if TYPE_CHECKING:
     from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
 
-SchemeName = Literal["cascade", "pi", "eso", "eso_printed", "smc", "esmc", "momentum", "ekf", "computed_torque"]
+if TYPE_CHECKING:
+    SchemeName = str
+else:  # the table of variants is the list of allowed words
+    SchemeName = Literal[tuple(variants())]
 
 
 @dataclasses.dataclass
@@ -91,11 +95,11 @@ class Campaign(Laws):
 
         from jaxftc.campaigns import store
         from jaxftc.campaigns.calibrate import allowed
-        from jaxftc.campaigns.spec import HEALTHY, scheme_config
+        from jaxftc.campaigns.spec import HEALTHY, variant
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        jobs = {name: self.job(scheme_config(self.base(), name)) for name in names}
+        jobs = {name: self.job(variant(self.base(), name)) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
@@ -133,7 +137,7 @@ class Campaign(Laws):
             return [self.scheme]
         names = [name.strip() for name in self.compare.split(",")]
         for name in names:
-            checks.one_of("--compare", name, SchemeName.__args__)
+            checks.one_of("--compare", name, tuple(variants()))
         if len(set(names)) < max(len(names), 2):
             raise ValueError(f"--compare takes two or more different schemes with commas, got {self.compare!r}")
         return names

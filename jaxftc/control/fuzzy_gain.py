@@ -10,6 +10,8 @@ from jaxftc.fuzzy import rule_table
 from jaxftc.gains import ControlGains, Gains, align
 from jaxftc.types import Array
 
+GAINS = tuple(f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor"))
+
 
 def alpha_online(config: Config, gains: ControlGains, q: Array, s: Array) -> Array:
     """alpha_online [n, ...] in [floor, 3] from q [n, ...] rad and s [n, ...] rad/s, Eq. (33)."""

@@ -11,6 +11,8 @@ from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
 from jaxftc.types import Array
 
+GAINS = ("observer.alpha_sm", "observer.alpha_sm0", "observer.eps")
+
 
 class State(NamedTuple):
     """The super-twisting integral; of the printed form, which has none, psi_SM of the coming tick."""

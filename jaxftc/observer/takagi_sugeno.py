@@ -16,6 +16,9 @@ from jaxftc.fuzzy import takagi_sugeno
 from jaxftc.gains import Gains, ObserverGains
 from jaxftc.types import Array, SensorStatus
 
+NAMES = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths", "jump_centres", "jump_widths")
+GAINS = tuple(f"observer.{name}" for name in NAMES)
+
 
 class State(NamedTuple):
     """The two estimates of this stage."""

@@ -48,8 +48,8 @@ def run(config: Config, gains: Gains, key: Array) -> Experiment:
     plain, sweep = _plain(config), _sweep(config)
     scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *[plain] * len(pairs), *[sweep] * len(swept))
     runs = [(pair, len(plain.id)) for pair in pairs] + [(pair, len(sweep.id)) for pair in swept]
-    on = [stages.as_data(dataclasses.replace(config, observer=o, control=c)) for (o, c), _ in runs]  # pyright: ignore[reportArgumentType]
-    flags = stages.Stages(*(jnp.repeat(jnp.stack(f), np.array([count for _, count in runs])) for f in zip(*on, strict=True)))
+    on = [stages.of(dataclasses.replace(config, observer=o, control=c)) for (o, c), _ in runs]  # pyright: ignore[reportArgumentType]
+    flags = stages.Stages(*(np.repeat(np.array(f), [count for _, count in runs]) for f in zip(*on, strict=True)))
     threshold = np.ones(PLAIN)
     threshold[-len(WRONG) :] = [factor for _, factor in WRONG]
     factors = np.repeat(SWEEP, SEEDS * len(CONDITIONS))

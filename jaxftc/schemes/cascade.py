@@ -11,18 +11,20 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc.config import Config
-from jaxftc.control import last_command, sliding_mode
+from jaxftc.control import fuzzy_gain, last_command, sliding_mode
 from jaxftc.control.last_command import LastCommand
 from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
-from jaxftc.gains import Gains
+from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
-from jaxftc.observer import cascade
+from jaxftc.observer import cascade, super_twisting, takagi_sugeno
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
+
+DIAGNOSES = True
 
 
 class State(NamedTuple):
@@ -48,6 +50,16 @@ class Applied(NamedTuple):
     u: Array  # [n, ...] input of the ARX model: rad/s^2, or N m for ``input="torque"``
     qdd: Array  # [n, ...] rad/s^2, without the estimated fault
     qdd_hat: Array  # [n, ...] rad/s^2, with it
+
+
+def gains_used(config: Config) -> set[str]:
+    """Names of the gains that the config's stages read."""
+    on = stages_of(config)
+    unused = {name for name in NAMES if name.startswith("baseline.")}
+    unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
+    unused |= set() if on.sliding else set(super_twisting.GAINS)
+    unused |= set() if on.online else set(fuzzy_gain.GAINS)
+    return set(NAMES) - unused - {"control.alpha_sm2" if on.raw else "control.alpha_sm"}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:

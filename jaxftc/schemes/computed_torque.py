@@ -21,6 +21,10 @@ from jaxftc.numerics import smooth
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.types import Array, Measurement, Output, Reference
 
+DIAGNOSES = False
+TRACKING = ("baseline.kp", "baseline.kd")  # gains of ``law``
+SPEED = ("baseline.speed_weight",)  # of ``follow``
+
 
 class Motion(NamedTuple):
     """What the encoder says of the motion."""
@@ -41,6 +45,12 @@ class State(NamedTuple):
     def q(self) -> Array:
         """Angle [n, ...] rad."""
         return self.motion.q
+
+
+def gains_used(config: Config) -> set[str]:
+    """Names of the gains that this scheme reads."""
+    del config
+    return {*TRACKING, *SPEED}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:

@@ -29,6 +29,9 @@ from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
 from jaxftc.types import Array, Measurement, Output, Reference
 
+DIAGNOSES = True
+NOISES = ("baseline.noise_y", "baseline.walk_qd", "baseline.walk_psi", "baseline.walk_b")
+
 
 class Belief(NamedTuple):
     """Gaussian belief in the arm's state."""
@@ -48,6 +51,12 @@ class State(NamedTuple):
     def q(self) -> Array:
         """Angle [n, ...] rad."""
         return parts(self.belief.mean)[0]
+
+
+def gains_used(config: Config) -> set[str]:
+    """Names of the gains that this scheme reads."""
+    del config
+    return {*computed_torque.TRACKING, *NOISES, "diagnosis.alpha_tau", "diagnosis.alpha_q"}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:

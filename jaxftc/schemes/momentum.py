@@ -35,6 +35,8 @@ from jaxftc.schemes import computed_torque
 from jaxftc.schemes.computed_torque import Motion
 from jaxftc.types import Array, Measurement, Output, Reference
 
+DIAGNOSES = True
+
 
 class Observer(NamedTuple):
     """The residual and what its next value needs."""
@@ -56,6 +58,11 @@ class State(NamedTuple):
     def q(self) -> Array:
         """Angle [n, ...] rad."""
         return self.motion.q
+
+
+def gains_used(config: Config) -> set[str]:
+    """Names of the gains that this scheme reads."""
+    return computed_torque.gains_used(config) | {"baseline.rate", "diagnosis.alpha_tau"}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:

@@ -1,13 +1,12 @@
-"""The table of schemes: the paper's cascade, and the baselines that it is measured against.
+"""What runs on a robot, whatever the scheme: the paper's cascade, or a baseline that it is measured against.
 
-``init`` and ``step`` are what runs on a robot, whatever the scheme. What comes in is checked and made whole here, so that no
-scheme needs to. Every scheme's state has ``q`` [n, ...] rad, the angle that it takes the arm to be at, and
-``command.tau`` [n, ...] N m, its last command before the limits.
+What comes into ``init`` and ``step`` is checked and made whole here, so that no scheme needs to. ``jaxftc/variants.py``
+has the table of schemes and what each must have.
 """
 
 from __future__ import annotations
 
-from types import ModuleType
+from importlib import import_module
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,16 +17,14 @@ from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
 from jaxftc.robot import dynamics, lanes, rigid_body
-from jaxftc.schemes import cascade, computed_torque, ekf, momentum
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
+from jaxftc.variants import SCHEMES
 
-SCHEMES: dict[str, ModuleType] = {
-    "cascade": cascade,
-    "momentum": momentum,
-    "ekf": ekf,
-    "computed_torque": computed_torque,
-}
+
+def scheme(config: Config) -> Any:
+    """The module of a config's scheme."""
+    return import_module(SCHEMES[config.scheme])
 
 
 def init(config: Config, gains: Gains, q: Array) -> Any:
@@ -40,7 +37,7 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     checks.finite("q", q, "give the arm's measured angles in rad")
     check_gains(config, gains)
     q = jnp.asarray(q, gains.arx.xi_a.dtype)
-    return SCHEMES[config.scheme].init(config, align(gains, q.ndim - 1), q)
+    return scheme(config).init(config, align(gains, q.ndim - 1), q)
 
 
 def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
@@ -57,16 +54,16 @@ def tick(
     config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
 ) -> tuple[Any, Output]:
     """``step``, with the cascade's stages given as data in place of the config's observer and control."""
-    scheme = SCHEMES[config.scheme]
-    if not isinstance(state, scheme.State):
+    chosen = scheme(config)
+    if not isinstance(state, chosen.State):
         raise ValueError(
             f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
             f"{type(state).__name__}"
         )
     check_gains(config, gains)
     reference, measurement = _signals(config, state.q, reference, measurement)
-    choice = {} if stages is None or config.scheme != "cascade" else {"stages": stages}
-    return scheme.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **choice)
+    beside = {} if stages is None else {"stages": stages}
+    return chosen.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **beside)
 
 
 def holding_torque(config: Config, q: Array) -> Array:

@@ -191,7 +191,7 @@ def watch(
     return seen, kept
 
 
-def run_loop(config: Config, on: stages.Stages, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+def run_loop(config: Config, on: stages.Stages | None, gains: Gains, scenario: Scenario, key: Array) -> Trace:
     """``simulate`` without its checks, to be traced; ``on`` says which stages of the cascade run."""
     return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick), on)[1]
 
