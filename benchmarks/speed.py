@@ -21,7 +21,7 @@ from jaxftc.campaigns import run as campaign_run
 from jaxftc.config import Config
 from jaxftc.evaluation.online import Score
 from jaxftc.gains import Gains
-from jaxftc.scenarios.scenario import paper_scenario, take, trail
+from jaxftc.scenarios.scenario import paper_scenario, take
 from jaxftc.simulation import closed_loop
 from tuning.settings import ROUND
 
@@ -100,9 +100,9 @@ def _warm(task: Task, cache: Path) -> float:
 def _check_loop(results: Results, config: Config, gains: Gains, scores: Score) -> None:
     """Scores that were timed, against the same scenarios through ``simulate``."""
     count = min(COMPARED, len(scores.ise))
-    scenarios = trail(take(workloads.drawn(config, count), slice(None)))
+    scenarios = take(workloads.drawn(config, count), slice(None))
     trace = closed_loop.simulate(config, gains, scenarios, jax.random.key(workloads.NOISE))
-    again = np.sum(np.square(np.asarray(trace.q, float) - np.asarray(trace.q_ref, float)), axis=(0, 1))
+    again = np.sum(np.square(np.asarray(trace.q, float) - np.asarray(trace.q_ref, float)), axis=(1, 2))
     finite = float(np.isfinite(scores.ise).all() and not scores.lost.any())
     results.check(f"closed loop, engine {config.engine}, runs that were lost", 1 - finite, 0.0)
     error = apart(scores.ise[:count] / again, np.ones(count))

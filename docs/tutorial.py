@@ -142,15 +142,14 @@ print(f"one step against the gradient: {before:.3f} -> {after:.3f} (N m)^2")
 # --------------------------------------------------------------------------------------
 # 7. A batch of scenarios
 #
-# Drawn scenarios have a leading axis. simulate() wants scenarios last, as every array
-# of this library has them: trail() moves the axis. The same code runs one arm or a
-# thousand side by side.
+# Drawn scenarios have a leading axis, and so has every leaf of their trace. The same
+# code runs one arm or a thousand side by side.
 
 drawn = jaxftc.sample_scenarios(jax.random.key(1), 200, config=config)
 batch = jax.tree.map(lambda leaf: leaf[:8], drawn)
-trace = jaxftc.simulate(config, gains, jaxftc.trail(batch), jax.random.key(2))
-print("verdicts at the end, [joints, scenarios]:")
-print(np.asarray(trace.out.verdict[-1]))
+trace = jaxftc.simulate(config, gains, batch, jax.random.key(2))
+print("verdicts at the end, [scenarios, joints]:")
+print(np.asarray(trace.out.verdict[:, -1]))
 
 # --------------------------------------------------------------------------------------
 # 8. A campaign of a few runs

@@ -26,7 +26,7 @@ _ROOMS = {
     "scenarios.preset": ("Preset",),
     "scenarios.preset_file": ("load_preset",),
     "scenarios.sample": ("sample_scenarios",),
-    "scenarios.scenario": ("Scenario", "healthy_scenario", "paper_scenario", "trail"),
+    "scenarios.scenario": ("Scenario", "healthy_scenario", "paper_scenario"),
     "gains": ("Gains",),
     "gains_file": ("load_gains", "save_gains"),
     "campaigns.calibrate": ("calibrate",),

@@ -23,7 +23,6 @@ from jaxftc.scenarios.sample import sample_scenarios as sample_scenarios
 from jaxftc.scenarios.scenario import Scenario as Scenario
 from jaxftc.scenarios.scenario import healthy_scenario as healthy_scenario
 from jaxftc.scenarios.scenario import paper_scenario as paper_scenario
-from jaxftc.scenarios.scenario import trail as trail
 from jaxftc.schemes.cascade import State as State
 from jaxftc.schemes.defaults import default_gains as default_gains
 from jaxftc.schemes.realtime import Tick as Tick

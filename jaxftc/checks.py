@@ -1,4 +1,4 @@
-"""Errors at the door: what came, what is allowed, what to do. Nothing here runs under a trace.
+"""Errors where a value comes in: what came, what is allowed, what to do. Nothing here runs under a trace.
 
 Commands check their options before they set JAX up, so NumPy and JAX are imported where they are needed.
 """

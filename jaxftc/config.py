@@ -21,26 +21,49 @@ CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
 class Config:
     """Robot, structure and timing. Everything that tuning may change is in ``Gains`` instead.
 
+    Attributes:
+        robot: The arm, from ``puma560()`` or ``load_robot(path)``.
+        dt: s, sample time.
+        t_final: s, end of the motion, t_f of Eq. (35); a multiple of dt.
+        duration: s, length of a simulation, a multiple of dt; t_final if None.
+        engine: Dynamics of the simulated arm: MuJoCo MJX, or the unrolled chain (same motion,
+            several times as fast).
+        scheme: The paper's observer and controller, or another name of the table in
+            ``jaxftc.variants``.
+        observer: How much of the cascade runs: ``pi`` is block 2, ``eso`` adds block 3, Eq. (7)
+            mended (``eso_printed``: as printed), ``ts`` adds block 4.
+        control: Sliding-mode law: Eq. (19), (24) or (30).
+        order_a: Laguerre functions on the output.
+        order_b: Laguerre functions on the input.
+        input: What drives the ARX model: an acceleration from the rigid-body model, or the torques
+            themselves, as in the paper.
+        rules: Table 1 as printed, or one of its mended forms.
+        sign: ``smooth`` is tanh(x / eps), ``hard`` the printed sgn.
+        alarm_ticks: Ticks above the threshold before a torque alarm; a jump alarms at once.
+        release_ticks: Ticks below the release level before an alarm ends.
+        transient_ticks: A torque alarm that ends sooner was a velocity transient of the reading,
+            not a torque.
+
     Raises:
         ValueError: a value is not allowed; the message says which are.
     """
 
     robot: Robot
-    dt: float = 1e-3  # s, sample time
-    t_final: float = 1.0  # s, end of the motion, t_f of Eq. (35); a multiple of dt
-    duration: float | None = None  # s, length of a simulation, a multiple of dt; t_final if None
-    engine: Engine = "mjx"  # plant dynamics
-    scheme: str = "cascade"  # the paper's observer and controller, or another of the table in jaxftc/variants.py
-    observer: Observer = "ts"  # how much of the cascade runs: block 2, blocks 2 and 3 (Eq. (7) mended or printed), 2 to 4
-    control: Control = "afesmc"  # Eq. (19), (24) or (30)
-    order_a: int = 3  # Laguerre functions on the output
-    order_b: int = 2  # Laguerre functions on the input
-    input: Literal["rigid_body", "torque"] = "rigid_body"  # what drives the ARX model
-    rules: Literal["printed", "symmetric", "s_only"] = "printed"  # Table 1 as printed, or its mended forms
-    sign: Literal["smooth", "hard"] = "smooth"  # tanh(x / eps), or the printed sgn
-    alarm_ticks: int = 3  # ticks above threshold before a torque alarm; a jump alarms at once
-    release_ticks: int = 10  # ticks below the release level before an alarm ends
-    transient_ticks: int = 60  # a torque alarm that ends sooner was a velocity transient of the reading, not a torque
+    dt: float = 1e-3
+    t_final: float = 1.0
+    duration: float | None = None
+    engine: Engine = "mjx"
+    scheme: str = "cascade"
+    observer: Observer = "ts"
+    control: Control = "afesmc"
+    order_a: int = 3
+    order_b: int = 2
+    input: Literal["rigid_body", "torque"] = "rigid_body"
+    rules: Literal["printed", "symmetric", "s_only"] = "printed"
+    sign: Literal["smooth", "hard"] = "smooth"
+    alarm_ticks: int = 3
+    release_ticks: int = 10
+    transient_ticks: int = 60
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):

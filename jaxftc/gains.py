@@ -32,17 +32,30 @@ class Spec(NamedTuple):
     low: float
     high: float
     open_low: bool
+    doc: str
 
 
 def _gain(
-    axes: str, unit: str, default: Any, low: float = -math.inf, high: float = math.inf, *, above: float | None = None
+    axes: str,
+    unit: str,
+    default: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    above: float | None = None,
+    doc: str,
 ) -> Any:
-    spec = Spec(tuple(axes.split()), unit, default, low if above is None else above, high, above is not None)
+    spec = Spec(tuple(axes.split()), unit, default, low if above is None else above, high, above is not None, doc)
     return dataclasses.field(metadata={"spec": spec})
 
 
 def _block(cls: type) -> type:
-    return jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+    """A block of gains as a pytree; its fields explained in ``help()``."""
+    cls = jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
+    specs = [(field.name, field.metadata["spec"]) for field in dataclasses.fields(cls)]
+    lines = [f"    {name}: [{', '.join(spec.axes)}] {spec.unit}, {spec.doc}." for name, spec in specs]
+    cls.__doc__ = "\n".join([cls.__doc__ or "", "", "Attributes:", *lines])
+    return cls
 
 
 _THIRDS = tuple(k / 3 for k in range(-3, 4))
@@ -53,64 +66,64 @@ _Q_RANGE, _S_RANGE = math.radians(100.0), 1.0  # rad and rad/s, the paper's rang
 class ArxGains:
     """Block 1, Eqs. (4), (5)."""
 
-    xi_a: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0)  # pole of the angle's bank, in (-1, 1)
-    xi_b: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0)  # pole of the input's bank, in (-1, 1)
-    kappa_a: Array = _gain("n a", "1", None)  # read-out of the angle's bank
-    kappa_b: Array = _gain("n u b", "rad per input unit", None)  # read-out of the input's bank
-    offset: Array = _gain("n", "rad", 0.0)  # read-out of the constant input
+    xi_a: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the angle's bank, in (-1, 1)")
+    xi_b: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the input's bank, in (-1, 1)")
+    kappa_a: Array = _gain("n a", "1", None, doc="read-out of the angle's bank")
+    kappa_b: Array = _gain("n u b", "rad per input unit", None, doc="read-out of the input's bank")
+    offset: Array = _gain("n", "rad", 0.0, doc="read-out of the constant input")
 
 
 @_block
 class ObserverGains:
     """Blocks 2 to 4, Eqs. (6) to (10). Gains act per tick."""
 
-    alpha_p: Array = _gain("n", "1", 0.7, above=0.0, high=1.0)  # correction weight, Eq. (6)
-    alpha_i: Array = _gain("n", "1/s^2", 680.0, low=0.0)  # integral, Eq. (6)
-    alpha_sm: Array = _gain("n", "rad^0.5/s^2", 120.0, low=0.0)  # super-twisting root, Eq. (7)
-    alpha_sm0: Array = _gain("n", "rad/s^3", 30.0, low=0.0)  # super-twisting integral, Eq. (7)
-    eps: Array = _gain("n", "rad", 1e-3, above=0.0)  # width of the smooth sgn of the innovation
-    alpha_f1: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator rule, Eq. (9)
+    alpha_p: Array = _gain("n", "1", 0.7, above=0.0, high=1.0, doc="correction weight, Eq. (6)")
+    alpha_i: Array = _gain("n", "1/s^2", 680.0, low=0.0, doc="integral, Eq. (6)")
+    alpha_sm: Array = _gain("n", "rad^0.5/s^2", 120.0, low=0.0, doc="super-twisting root, Eq. (7)")
+    alpha_sm0: Array = _gain("n", "rad/s^3", 30.0, low=0.0, doc="super-twisting integral, Eq. (7)")
+    eps: Array = _gain("n", "rad", 1e-3, above=0.0, doc="width of the smooth sgn of the innovation")
+    alpha_f1: Array = _gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator rule, Eq. (9)")
     alpha_f2: Array = _gain(
-        "n", "1", 1.0, low=0.0, high=1.0
-    )  # consequent of the sensor rule: share of a jump attributed to the encoder
-    alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0)  # consequent of the actuator-and-sensor rule, Eq. (9)
-    leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0)  # l, forgetting of the fuzzy estimate per tick
-    jump: Array = _gain("n", "rad", 1e-3, above=0.0)  # jump that is surely the encoder's; graded 1/2 at half of it
-    tau_centres: Array = _gain("2", "1", (0.0, 1.0))  # sets "zero", "at threshold" of |residual_tau| / alpha_tau
-    tau_widths: Array = _gain("2", "1", (0.25, 0.25), above=0.0)
-    jump_centres: Array = _gain("2", "1", (0.0, 1.0))  # sets "zero", "at threshold" of |jump| / jump
-    jump_widths: Array = _gain("2", "1", (0.15, 0.15), above=0.0)
+        "n", "1", 1.0, low=0.0, high=1.0, doc="consequent of the sensor rule: the encoder's share of a jump"
+    )
+    alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator-and-sensor rule, Eq. (9)")
+    leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0, doc="l, forgetting of the fuzzy estimate per tick")
+    jump: Array = _gain("n", "rad", 1e-3, above=0.0, doc="jump that is surely the encoder's; graded 1/2 at half of it")
+    tau_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of |residual_tau| / alpha_tau")
+    tau_widths: Array = _gain("2", "1", (0.25, 0.25), above=0.0, doc="their widths")
+    jump_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of |jump| / jump")
+    jump_widths: Array = _gain("2", "1", (0.15, 0.15), above=0.0, doc="their widths")
 
 
 @_block
 class DiagnosisGains:
     """Blocks 5 to 7, Eqs. (14), (17), (18)."""
 
-    alpha_tau: Array = _gain("n", "N m", 2.0, above=0.0)  # torque threshold
-    alpha_q: Array = _gain("n", "rad", math.radians(1.0), above=0.0)  # encoder threshold
-    lead: Array = _gain("n", "1/s^2", 0.0, low=0.0)  # weight of the innovation beside psi in the torque statistic
-    lam_tau: Array = _gain("n", "1", 0.7, low=0.0, high=1.0)  # w, weight of the residual against its leaky mean
-    lam_q: Array = _gain("n", "1", 1.0, low=0.0, high=1.0)
-    leak_tau: Array = _gain("n", "1", 0.1, above=0.0, high=1.0)  # l, forgetting of that mean per tick
-    leak_q: Array = _gain("n", "1", 0.1, above=0.0, high=1.0)
+    alpha_tau: Array = _gain("n", "N m", 2.0, above=0.0, doc="torque threshold")
+    alpha_q: Array = _gain("n", "rad", math.radians(1.0), above=0.0, doc="encoder threshold")
+    lead: Array = _gain("n", "1/s^2", 0.0, low=0.0, doc="weight of the innovation beside psi in the torque statistic")
+    lam_tau: Array = _gain("n", "1", 0.7, low=0.0, high=1.0, doc="w, weight of the residual against its leaky mean")
+    lam_q: Array = _gain("n", "1", 1.0, low=0.0, high=1.0, doc="the same weight in the encoder channel")
+    leak_tau: Array = _gain("n", "1", 0.1, above=0.0, high=1.0, doc="l, forgetting of that mean per tick")
+    leak_q: Array = _gain("n", "1", 0.1, above=0.0, high=1.0, doc="the same in the encoder channel")
 
 
 @_block
 class ControlGains:
     """Blocks 8, 9, Eqs. (19), (24), (30) to (33)."""
 
-    lam: Array = _gain("n", "1/s", 20.0, above=0.0)  # slope of the sliding surface
-    alpha_sm: Array = _gain("n", "rad/s^2", 10.0, low=0.0)  # switching gain of SMC
-    alpha_sm2: Array = _gain("n", "rad/s^2", 10.0, low=0.0)  # switching gain of ESMC and AFESMC
-    k_b: Array = _gain("n", "1/s", 0.0, low=0.0)  # linear reaching term; the paper's K_beta, which only its proof has
-    eps: Array = _gain("n", "rad/s", 0.5, above=0.0)  # boundary layer of sgn(s)
-    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0)  # weight of the measured against the predicted speed
-    q_centres: Array = _gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS))  # Table 1, sets NB to PB
-    q_widths: Array = _gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0)
-    s_centres: Array = _gain("7", "rad/s", tuple(_S_RANGE * c for c in _THIRDS))
-    s_widths: Array = _gain("7", "rad/s", (0.15 * _S_RANGE,) * 7, above=0.0)
-    outputs: Array = _gain("3", "1", (0.5, 1.5, 2.5), low=0.0, high=3.0)  # centres of PS, PM, PB
-    floor: Array = _gain("n", "1", 0.1, above=0.0)  # least alpha_online; as printed it can reach 0
+    lam: Array = _gain("n", "1/s", 20.0, above=0.0, doc="slope of the sliding surface")
+    alpha_sm: Array = _gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of SMC")
+    alpha_sm2: Array = _gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of ESMC and AFESMC")
+    k_b: Array = _gain("n", "1/s", 0.0, low=0.0, doc="linear reaching term; the paper's K_beta, which only its proof has")
+    eps: Array = _gain("n", "rad/s", 0.5, above=0.0, doc="boundary layer of sgn(s)")
+    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0, doc="weight of measured against predicted speed")
+    q_centres: Array = _gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB")
+    q_widths: Array = _gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0, doc="their widths")
+    s_centres: Array = _gain("7", "rad/s", tuple(_S_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB of s")
+    s_widths: Array = _gain("7", "rad/s", (0.15 * _S_RANGE,) * 7, above=0.0, doc="their widths")
+    outputs: Array = _gain("3", "1", (0.5, 1.5, 2.5), low=0.0, high=3.0, doc="centres of PS, PM, PB")
+    floor: Array = _gain("n", "1", 0.1, above=0.0, doc="least alpha_online; as printed it can reach 0")
 
 
 @_block
@@ -120,19 +133,28 @@ class BaselineGains:
     A walk is the standard deviation that a random walk reaches in one second.
     """
 
-    kp: Array = _gain("n", "1/s^2", 625.0, low=0.0)  # computed torque, on the angle's error
-    kd: Array = _gain("n", "1/s", 50.0, low=0.0)  # on the speed's error
-    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0)  # of the measured against the predicted speed
-    rate: Array = _gain("n", "1/s", 120.0, above=0.0)  # K_o of the momentum observer
-    noise_y: Array = _gain("n", "rad", 3e-5, above=0.0)  # EKF, standard deviation of a reading
-    walk_qd: Array = _gain("n", "rad/s^1.5", 0.02, above=0.0)  # EKF, of the speed: what the model does not know
-    walk_psi: Array = _gain("n", "rad/s^2.5", 10.0, above=0.0)  # EKF, of the actuator fault, as its joint's acceleration
-    walk_b: Array = _gain("n", "rad/s^0.5", 3e-4, above=0.0)  # EKF, of the encoder fault
+    kp: Array = _gain("n", "1/s^2", 625.0, low=0.0, doc="computed torque, on the angle's error")
+    kd: Array = _gain("n", "1/s", 50.0, low=0.0, doc="on the speed's error")
+    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0, doc="of the measured against the predicted speed")
+    rate: Array = _gain("n", "1/s", 120.0, above=0.0, doc="K_o of the momentum observer")
+    noise_y: Array = _gain("n", "rad", 3e-5, above=0.0, doc="EKF, standard deviation of a reading")
+    walk_qd: Array = _gain("n", "rad/s^1.5", 0.02, above=0.0, doc="EKF, of the speed: what the model does not know")
+    walk_psi: Array = _gain("n", "rad/s^2.5", 10.0, above=0.0, doc="EKF, of the actuator fault, as its joint's acceleration")
+    walk_b: Array = _gain("n", "rad/s^0.5", 3e-4, above=0.0, doc="EKF, of the encoder fault")
 
 
-@_block
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
 class Gains:
-    """All of them, by block."""
+    """All of them, by block.
+
+    Attributes:
+        arx: The ARX-Laguerre model, block 1.
+        observer: The cascade, blocks 2 to 4.
+        diagnosis: Thresholds and statistics, blocks 5 to 7.
+        control: The sliding-mode law and its fuzzy gain, blocks 8 and 9.
+        baseline: The other schemes.
+    """
 
     arx: ArxGains
     observer: ObserverGains

@@ -1,4 +1,4 @@
-"""Signals that cross a door, and the one contract that every block keeps.
+"""Signals that cross an interface, and the one contract that every block keeps.
 
 A block is a module with ``init(config, gains, q) -> State`` and ``step(config, gains, state, inputs) -> (State, Info)``, its
 inputs one named tuple ``Inputs``.
@@ -34,11 +34,17 @@ LABELS = ("normal", "actuator", "sensor", "both")  # of the verdicts 0 to 3
 
 
 class Reference(NamedTuple):
-    """Desired motion at one tick. A joint with a value that is not finite is to hold the angle it has."""
+    """Desired motion at one tick. A joint with a value that is not finite is to hold the angle it has.
 
-    q: Array  # [n, ...] rad
-    qd: Array  # [n, ...] rad/s
-    qdd: Array  # [n, ...] rad/s^2
+    Attributes:
+        q: [n, ...] rad.
+        qd: [n, ...] rad/s.
+        qdd: [n, ...] rad/s^2.
+    """
+
+    q: Array
+    qd: Array
+    qdd: Array
 
 
 class Measurement(NamedTuple):
@@ -46,10 +52,14 @@ class Measurement(NamedTuple):
 
     A reading that is not finite is replaced by the model's prediction, and after a few ticks called a sensor fault; a torque
     that is not finite counts as the controller's own command.
+
+    Attributes:
+        q: [n, ...] rad, encoder reading.
+        tau: [n, ...] N m, torque commanded in the last tick.
     """
 
-    q: Array  # [n, ...] rad, encoder reading
-    tau: Array  # [n, ...] N m, torque commanded in the last tick
+    q: Array
+    tau: Array
 
 
 class SensorStatus(NamedTuple):
@@ -62,21 +72,41 @@ class SensorStatus(NamedTuple):
 
 
 class Output(NamedTuple):
-    """What one tick of the controller says."""
+    """What one tick of the controller says.
 
-    tau: Array  # [n, ...] N m, torque command within the limits
-    fault_tau_hat: Array  # [n, ...] N m, estimated actuator fault
-    fault_q_hat: Array  # [n, ...] rad, estimated encoder fault
-    residual_tau: Array  # [n, ...] N m, Eq. (13), torque channel
-    residual_q: Array  # [n, ...] rad, Eq. (13), encoder channel
-    statistic_tau: Array  # [n, ...] N m, S of Eq. (14); alarm when |S| reaches threshold_tau
-    statistic_q: Array  # [n, ...] rad
-    threshold_tau: Array  # [n, ...] N m
-    threshold_q: Array  # [n, ...] rad
-    verdict: Array  # [n, ...] int32, a Verdict's number, Eq. (18)
-    detected: Array  # [...] bool, any joint not normal, Eq. (17)
-    suspect: Array  # [n, ...] 1 where the sensor check holds the reading to be wrong, else 0
-    q_hat: Array  # [n, ...] rad, encoder reading less its estimated fault
-    qd_hat: Array  # [n, ...] rad/s
-    s: Array  # [n, ...] rad/s, sliding surface, Eq. (19)
-    alpha_online: Array  # [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not used
+    Attributes:
+        tau: [n, ...] N m, torque command within the limits.
+        fault_tau_hat: [n, ...] N m, estimated actuator fault.
+        fault_q_hat: [n, ...] rad, estimated encoder fault.
+        residual_tau: [n, ...] N m, Eq. (13), torque channel.
+        residual_q: [n, ...] rad, Eq. (13), encoder channel.
+        statistic_tau: [n, ...] N m, S of Eq. (14); alarm when |S| reaches threshold_tau.
+        statistic_q: [n, ...] rad.
+        threshold_tau: [n, ...] N m.
+        threshold_q: [n, ...] rad.
+        verdict: [n, ...] int32, a Verdict's number, Eq. (18).
+        detected: [...] bool, any joint not normal, Eq. (17).
+        suspect: [n, ...] 1 where the sensor check holds the reading to be wrong, else 0.
+        q_hat: [n, ...] rad, encoder reading less its estimated fault.
+        qd_hat: [n, ...] rad/s.
+        s: [n, ...] rad/s, sliding surface, Eq. (19).
+        alpha_online: [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not
+            used.
+    """
+
+    tau: Array
+    fault_tau_hat: Array
+    fault_q_hat: Array
+    residual_tau: Array
+    residual_q: Array
+    statistic_tau: Array
+    statistic_q: Array
+    threshold_tau: Array
+    threshold_q: Array
+    verdict: Array
+    detected: Array
+    suspect: Array
+    q_hat: Array
+    qd_hat: Array
+    s: Array
+    alpha_online: Array

@@ -15,7 +15,7 @@ from jaxftc.campaigns.calibrate import calibrate as calibrate_on
 from jaxftc.campaigns.run import campaign as campaign_of
 from jaxftc.compile.devices import AXIS
 from jaxftc.robot.model import compile_robot
-from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import Trace
 from tuning import Result, Settings
 from tuning import fit as fit_to
@@ -71,9 +71,9 @@ def scenarios(row: Row, first: int = 0) -> Scenario:
 
 
 def simulate(row: Row, some: Scenario | None = None) -> Trace:
-    """Scenarios with a trailing axis, or a single one; those of the row if none are given."""
+    """A set of scenarios, or a single one; those of the row if none are given."""
     settings = config(row)
-    return jaxftc.simulate(settings, jaxftc.default_gains(settings), trail(scenarios(row)) if some is None else some, key())
+    return jaxftc.simulate(settings, jaxftc.default_gains(settings), scenarios(row) if some is None else some, key())
 
 
 def campaign(row: Row, first: int = 0) -> dict[str, np.ndarray]:
@@ -108,8 +108,7 @@ def everything(row: Row) -> dict[str, np.ndarray]:
     tree["fitted"] = {"gains": fitted.gains, "history": fitted.history}
     if row.scheme == "cascade":
         mesh = Mesh(np.asarray(jax.local_devices()), (AXIS,))
-        split = [NamedSharding(mesh, PartitionSpec(*[None] * ndim, AXIS)) for ndim in (0, 1)]
-        some = jax.tree.map(lambda leaf: jax.device_put(leaf, split[leaf.ndim - 1]), trail(scenarios(row)))
+        some = jax.device_put(scenarios(row), NamedSharding(mesh, PartitionSpec(AXIS)))
         tree["trace"] = simulate(row, some)
         assert len(tree["trace"].q.sharding.device_set) == len(jax.local_devices())
     return {jax.tree_util.keystr(at): np.asarray(leaf) for at, leaf in jax.tree_util.tree_leaves_with_path(tree)}

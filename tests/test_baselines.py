@@ -51,7 +51,7 @@ def of(config: jaxftc.Config, scheme: str, **change: object) -> jaxftc.Config:
     return dataclasses.replace(config, scheme=scheme, **change)  # pyright: ignore[reportArgumentType]
 
 
-# The door.
+# What comes in.
 
 
 def test_unknown_schemes_and_states_of_another_are_refused(config):

@@ -11,6 +11,7 @@ import pytest
 import jaxftc
 from jaxftc.scenarios import builders
 from jaxftc.scenarios.faults import Actuator, Sensor
+from jaxftc.scenarios.scenario import trail
 
 SIZED = {  # kind, argument, a size
     "with_actuator_bias": (Actuator.BIAS, "torque", -5.0),
@@ -118,10 +119,7 @@ def test_sizes_may_be_traced(healthy):
         (lambda s: s.with_frozen_encoder(1, 0.2, period=0.0), "period must be positive, got 0.0"),
         (lambda s: s.with_frozen_encoder(1, 0.2, raise_=1.0), "did you mean 'rise'"),
         (lambda s: s.with_encoder_bias(1, np.ones(2), 0.2), r"magnitude must be a number or have shape \[\], got \[2\]"),
-        (
-            lambda s: jaxftc.trail(stacked(s, 2)).with_frozen_encoder(1, 0.2),
-            "before jaxftc.trail",
-        ),
+        (lambda s: trail(stacked(s, 2)).with_frozen_encoder(1, 0.2), "or to a set with a leading axis, got q_start of"),
     ],
 )
 def test_what_cannot_be_is_refused(healthy, call, text):

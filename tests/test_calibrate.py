@@ -132,13 +132,13 @@ def logged(tmp_path_factory):
     config = jaxftc.Config(three_hinges(), engine="chain", duration=0.1)
     long = dataclasses.replace(config, duration=1.0)
     scenarios = without_faults(jaxftc.sample_scenarios(jax.random.key(62), 8, config=long))
-    trace = jaxftc.simulate(long, jaxftc.default_gains(long), jaxftc.trail(scenarios), jax.random.key(63))
+    trace = jaxftc.simulate(long, jaxftc.default_gains(long), scenarios, jax.random.key(63))
     folder = tmp_path_factory.mktemp("logs")
     paths = []
     for k in range(8):
-        columns = {"t": np.asarray(trace.t)}
-        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j, k]) for j in range(config.n)}
-        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[:, j, k]) for j in range(config.n)}
+        columns = {"t": np.asarray(trace.t[k])}
+        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[k, :, j]) for j in range(config.n)}
+        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[k, :, j]) for j in range(config.n)}
         paths.append(folder / f"log{k}.parquet")
         write_parquet(paths[-1], columns)
     return config, trace, paths
@@ -149,7 +149,7 @@ def test_a_log_is_diagnosed_as_the_arm_was(logged):
     config, trace, paths = logged
     gains = jaxftc.default_gains(config)
     out = logs.diagnose(config, gains, logs.read(paths[0], config))
-    mine, theirs = np.asarray(out.statistic_tau), np.asarray(trace.out.statistic_tau[..., 0])
+    mine, theirs = np.asarray(out.statistic_tau), np.asarray(trace.out.statistic_tau[0])
     scale = np.abs(theirs).max(0)
     assert (np.abs(mine - theirs).max(0) < 0.5 * scale + 0.1).all()
     assert (np.abs(mine - theirs).mean(0) < 0.1 * scale + 0.02).all()
@@ -174,7 +174,7 @@ def test_thresholds_from_logs(logged):
         config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths], false_alarms=0.2, confidence=0.9
     )
     assert found.runs == found.fresh == 40 and found.met
-    highest = np.abs(np.asarray(trace.out.statistic_tau)).max((0, 2))
+    highest = np.abs(np.asarray(trace.out.statistic_tau)).max((0, 1))
     assert (found.gains.diagnosis.alpha_tau < 2 * highest).all() and (found.gains.diagnosis.alpha_tau > 0.2 * highest).all()
     with pytest.raises(ValueError, match="40 healthy runs are too few to hold 1 % false alarms"):
         calibrate_on_logs(config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths])

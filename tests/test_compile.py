@@ -18,7 +18,8 @@ from jaxftc import stages
 from jaxftc.compile import program_cache
 from jaxftc.compile import xla as compiling
 from jaxftc.numerics.barrier import stack, store, unstack
-from jaxftc.simulation.closed_loop import run_loop
+from jaxftc.scenarios.scenario import trail
+from jaxftc.simulation.closed_loop import rollout, run_loop
 from tests.arms import three_hinges
 
 KERNELS = 450  # a tick of three hinges without loops of several results; 250 to 330 on the versions seen
@@ -30,7 +31,7 @@ def short() -> jaxftc.Config:
 
 
 def scenarios(config, count):
-    return jaxftc.trail(jaxftc.sample_scenarios(jax.random.key(0), count, config=config))
+    return trail(jaxftc.sample_scenarios(jax.random.key(0), count, config=config))
 
 
 def test_the_compiled_loop_keeps_its_barriers_and_has_few_kernels(short):
@@ -246,7 +247,7 @@ def test_stages_as_data_give_what_the_config_gives(short, observer):
     for control in ("smc", "esmc", "afesmc"):
         config = dataclasses.replace(short, observer=observer, control=control)
         gains, some = jaxftc.default_gains(config), scenarios(config, 2)
-        ours = jaxftc.simulate(config, gains, some, jax.random.key(0))
+        ours = rollout(config, gains, some, jax.random.key(0))
         known = stages.Stages(*map(bool, stages.of(config)))
         theirs = jax.jit(lambda *rest, c=config, k=known: run_loop(c, k, *rest))(gains, some, jax.random.key(0))
         for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
@@ -259,7 +260,7 @@ def test_observers_and_controllers_share_one_program(short):
     some, before = scenarios(short, 3), None
     for observer, control in (("pi", "smc"), ("eso", "esmc"), ("ts", "afesmc")):
         config = dataclasses.replace(short, observer=observer, control=control)
-        jaxftc.simulate(config, jaxftc.default_gains(config), some, jax.random.key(0))
+        rollout(config, jaxftc.default_gains(config), some, jax.random.key(0))
         count = len(_PROGRAMS["batch"]._programs)
         assert before in (None, count)
         before = count

@@ -16,7 +16,7 @@ from jaxftc.evaluation import metrics
 from jaxftc.observer.cascade import Estimate
 from jaxftc.observer.takagi_sugeno import Jump
 from jaxftc.scenarios.faults import Actuator, Sensor
-from jaxftc.scenarios.scenario import paper_scenario, stack, trail
+from jaxftc.scenarios.scenario import paper_scenario, stack
 
 
 def blank(n):
@@ -194,14 +194,14 @@ def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     config = jaxftc.Config(paper_arm, engine="chain")
     cases = [(Sensor.DRIFT, 0.15), (Sensor.DRIFT, -0.8), (Sensor.FREEZE, 0.0), (Sensor.SCALE, 0.05), (Sensor.NOISE, 60.0)]
     padded = (cases * 2)[:ROBUST]  # a batch of the same size as in the test below: one program
-    batch = trail(stack([encoder_fault(config, kind, size) for kind, size in padded]))
+    batch = stack([encoder_fault(config, kind, size) for kind, size in padded])
     gains = jaxftc.default_gains(config)
     tight = gains.replace({"diagnosis.alpha_q": np.deg2rad(0.02)})
     verdict = metrics.columns(jaxftc.simulate(config, tight, batch, jax.random.key(0)))["verdict"]
     for c, (kind, size) in enumerate(cases):
-        first = np.flatnonzero(verdict[:, :, c].any(1))[0]
+        first = np.flatnonzero(verdict[c].any(1))[0]
         assert first >= 100, (kind, size)
-        np.testing.assert_array_equal(verdict[first + 60, :, c], [0, 0, 2, 0, 0, 0], err_msg=f"{kind!r} {size}")
+        np.testing.assert_array_equal(verdict[c, first + 60], [0, 0, 2, 0, 0, 0], err_msg=f"{kind!r} {size}")
 
 
 def robust_cases(config):
@@ -239,9 +239,9 @@ def test_nothing_runs_away_and_what_has_passed_leaves_no_trace(paper_arm):
     config = jaxftc.Config(paper_arm, engine="chain")
     cases = robust_cases(config)
     assert len(cases) == ROBUST
-    batch = trail(stack([scenario for _, scenario, _, _ in cases]))
+    batch = stack([scenario for _, scenario, _, _ in cases])
     trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(0)))
     for c, (name, _, tracking, estimate) in enumerate(cases):
-        assert np.isfinite(trace["tau"][..., c]).all(), name
-        assert np.rad2deg(np.abs(trace["q"] - trace["q_ref"])[-50:, :, c]).max() < tracking, name
-        assert np.rad2deg(np.abs(trace["fault_q_hat"] - trace["fault_q"])[-50:, :, c]).max() < estimate, name
+        assert np.isfinite(trace["tau"][c]).all(), name
+        assert np.rad2deg(np.abs(trace["q"] - trace["q_ref"])[c, -50:]).max() < tracking, name
+        assert np.rad2deg(np.abs(trace["fault_q_hat"] - trace["fault_q"])[c, -50:]).max() < estimate, name

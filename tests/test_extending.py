@@ -1,44 +1,121 @@
-"""Adding to the house takes one file and one line of a table."""
+"""What adding to the house takes: one file, and one line of a table."""
 
+import os
+import shutil
+import subprocess
 import sys
-import types
+from pathlib import Path
 
-import jax
-import jax.numpy as jnp
-import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import variants
-from jaxftc.campaigns import spec
-from jaxftc.schemes import computed_torque
-from tests.arms import three_hinges
-from tuning import transform
+
+HOUSE = Path(jaxftc.__file__).parent
 
 
 @pytest.fixture
-def damped(monkeypatch):
-    """A scheme of one's own, as its file would be: gravity compensation and a damper."""
-    module = types.ModuleType("damped")
-    module.State, module.init, module.DIAGNOSES = computed_torque.State, computed_torque.init, False
-    module.gains_used = lambda config: {"baseline.kd"}
+def house(tmp_path):
+    """A copy of the package to build in, and a way to run a script on it."""
+    copy = shutil.copytree(HOUSE, tmp_path / "jaxftc", ignore=shutil.ignore_patterns("__pycache__"))
 
-    def step(config, gains, state, reference, measurement):
-        still = jaxftc.Reference(state.q, jnp.zeros_like(state.q), jnp.zeros_like(state.q))
-        only_kd = gains.replace({"baseline.kp": 0.0, "baseline.speed_weight": 1.0})
-        return computed_torque.step(config, only_kd, state, still, measurement)
+    def run(script):
+        path = os.pathsep.join([str(tmp_path), str(HOUSE.parent)])
+        done = subprocess.run(
+            [sys.executable, "-c", script],
+            env=os.environ | {"PYTHONPATH": path},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
 
-    module.step = step
-    monkeypatch.setitem(sys.modules, "damped", module)
-    monkeypatch.setitem(variants.SCHEMES, "damped", "damped")
+    return copy, run
 
 
-def test_a_scheme_is_a_module_and_a_line(damped):
-    robot = three_hinges()
-    config = spec.variant(jaxftc.Config(robot, engine="chain", t_final=0.05), "damped")
-    assert config.scheme == "damped" and transform.tunable(config) == ("baseline.kd",)
-    gains, q = jaxftc.default_gains(config), jnp.full(robot.n, 0.3)
-    state = jaxftc.init(config, gains, q)
-    held = jaxftc.inverse_dynamics(robot, q, 0 * q, 0 * q)
-    out = jax.jit(lambda s: jaxftc.step(config, gains, s, jaxftc.Reference(q, q, q), jaxftc.Measurement(q, held)))(state)[1]
-    np.testing.assert_allclose(out.tau, held, rtol=1e-5, atol=1e-6)
+def insert(path, after, line):
+    text = path.read_text()
+    assert text.count(after) == 1
+    path.write_text(text.replace(after, f"{after}\n{line}"))
+
+
+def test_a_scheme_is_a_module_and_a_line(house):
+    """Gravity compensation and a damper: it runs, tunes its own gain, and campaigns know its name."""
+    copy, run = house
+    insert(copy / "variants.py", '"ekf": "jaxftc.schemes.ekf",', '    "damper": "jaxftc.schemes.damper",')
+    (copy / "schemes" / "damper.py").write_text(
+        """
+import jax.numpy as jnp
+from jaxftc.schemes import computed_torque
+from jaxftc.schemes.computed_torque import State, init
+from jaxftc.types import Reference
+
+DIAGNOSES = False
+
+
+def gains_used(config):
+    return {"baseline.kd"}
+
+
+def step(config, gains, state, reference, measurement):
+    zero = jnp.zeros_like(state.q)
+    gains = gains.replace({"baseline.kp": 0.0, "baseline.speed_weight": 1.0})
+    return computed_torque.step(config, gains, state, Reference(state.q, zero, zero), measurement)
+"""
+    )
+    script = """
+import jax, jax.numpy as jnp, jaxftc
+from benchmarks.arms import serial
+from jaxftc.campaigns.spec import variant
+from jaxftc.robot.model import compile_robot
+from tuning.transform import tunable
+config = variant(jaxftc.Config(compile_robot("two", serial(2)), engine="chain"), "damper")
+gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
+held = jaxftc.inverse_dynamics(config.robot, q, 0 * q, 0 * q)
+state = jaxftc.init(config, gains, q)
+with jax.disable_jit():
+    out = jaxftc.step(config, gains, state, jaxftc.Reference(q, q, q), jaxftc.Measurement(q, held))[1]
+print(*tunable(config), bool(jnp.allclose(out.tau, held, atol=1e-5)))
+"""
+    assert run(script) == ["baseline.kd", "True"]
+
+
+def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
+    """A torque whose sign is wrong: presets draw it, and the plant gets it. What others draw does not change."""
+    copy, run = house
+    faults = copy / "scenarios" / "faults.py"
+    insert(
+        faults,
+        '    SATURATION = 4, "1", _saturated  # share of the torque limit that is left',
+        '    REVERSED = 5, "1", lambda x: -x.size * x.tau',
+    )
+    insert(faults, "    saturation: Share | None = None", "    reversed: Share | None = None")
+    script = """
+import pathlib, jax, jax.numpy as jnp, numpy as np, jaxftc
+from benchmarks.arms import serial
+from jaxftc.robot.model import compile_robot
+from jaxftc.scenarios.faults import Actuator
+from jaxftc.simulation import fault_injection
+path = pathlib.Path("mine.toml")
+path.write_text('base = "standard"\\n[shares]\\nhealthy = 0.0\\nactuator = 1.0\\nsensor = 0.0\\nboth = 0.0\\n'
+                '[actuator.reversed]\\nsize = 0.5\\n')
+config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
+some = jaxftc.sample_scenarios(jax.random.key(0), 3, path, config=config)
+fault = jax.tree.map(lambda leaf: leaf[0], some.fault_tau)._replace(rise=0.0, clear=jnp.inf, period=jnp.inf)
+joint = int(np.flatnonzero(fault.kind)[0])
+state = fault_injection.State(jnp.zeros(2), jnp.zeros(2))
+tau = fault_injection.deliver(fault, state, jnp.asarray(0.999), jnp.full(2, 3.0), jnp.full(2, 9.0))[1]
+standard = jaxftc.sample_scenarios(jax.random.key(0), 20, config=config)
+print(Actuator(int(fault.kind[joint])).name, float(tau[joint]), float(np.sum(standard.fault_tau.magnitude)))
+"""
+    name, tau, drawn = run(script)
+    assert (name, float(tau)) == ("REVERSED", -1.5)
+    faults.write_text((HOUSE / "scenarios" / "faults.py").read_text())
+    before = """
+import jax, numpy as np, jaxftc
+from benchmarks.arms import serial
+from jaxftc.robot.model import compile_robot
+config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
+print(float(np.sum(jaxftc.sample_scenarios(jax.random.key(0), 20, config=config).fault_tau.magnitude)))
+"""
+    assert run(before) == [drawn]

@@ -118,11 +118,11 @@ def test_magnitudes_have_gradients():
 
 
 def test_paper_conditions(config):
-    scenario = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
-    assert np.asarray(scenario.fault_tau.kind)[0].tolist() == [0, 1, 0, 1]
-    assert np.asarray(scenario.fault_q.kind)[0].tolist() == [0, 0, 1, 1]
-    np.testing.assert_allclose(scenario.fault_tau.magnitude[:, 1], 5.0)
-    np.testing.assert_allclose(np.rad2deg(scenario.fault_q.magnitude[:, 2]), 1.5)
+    scenario = stack([paper_scenario(condition, config) for condition in CONDITIONS])
+    assert np.asarray(scenario.fault_tau.kind)[:, 0].tolist() == [0, 1, 0, 1]
+    assert np.asarray(scenario.fault_q.kind)[:, 0].tolist() == [0, 0, 1, 1]
+    np.testing.assert_allclose(scenario.fault_tau.magnitude[1], 5.0)
+    np.testing.assert_allclose(np.rad2deg(scenario.fault_q.magnitude[2]), 1.5)
 
 
 def test_sampled_scenarios_have_a_leading_axis_and_their_ids(config):

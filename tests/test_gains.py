@@ -7,6 +7,8 @@ import pytest
 
 import jaxftc
 from jaxftc.gains import NAMES
+from jaxftc.scenarios.scenario import stack, trail
+from jaxftc.simulation.closed_loop import rollout
 
 
 @pytest.fixture(scope="module")
@@ -74,11 +76,11 @@ def test_it_composes_with_jit_grad_and_vmap(gains):
     np.testing.assert_array_equal(many, [21.0, 42.0])
 
 
-def test_scenario_axes_are_simulated_side_by_side(config, gains):
+def test_gains_may_have_the_scenarios_axis(config, gains):
     """Gains of two scenarios at once are those of one after the other."""
     scenario = jaxftc.paper_scenario("actuator", config, scenario_id=3)
-    two = jaxftc.trail(jax.tree.map(lambda x: jnp.stack([x, x]), scenario))
-    both = jaxftc.simulate(config, gains.replace({"control.lam": [[15.0, 30.0]]}), two, jax.random.key(0))
+    two = trail(stack([scenario, scenario]))
+    both = rollout(config, gains.replace({"control.lam": [[15.0, 30.0]]}), two, jax.random.key(0))
     for k, lam in enumerate((15.0, 30.0)):
         one = jaxftc.simulate(config, gains.replace({"control.lam": lam}), scenario, jax.random.key(0))
         np.testing.assert_allclose(both.q[..., k], one.q, rtol=1e-9)

@@ -127,11 +127,11 @@ def test_the_rows_cover_every_value_of_every_axis():
 def test_simulate(row):
     """Each run is finite, and what it is by itself."""
     trace = grid.simulate(row)
-    assert trace.t.shape == (row.ticks,) and trace.q.dtype == np.float32
-    assert trace.q.shape == trace.out.tau.shape == (row.ticks, grid.config(row).n, row.count)
+    assert trace.t.shape == (row.count, row.ticks) and trace.q.dtype == np.float32
+    assert trace.q.shape == trace.out.tau.shape == (row.count, row.ticks, grid.config(row).n)
     assert_finite(watched(trace))
     alone = grid.simulate(row, take(grid.scenarios(row), row.count - 1))
-    last = jax.tree.map(lambda leaf: leaf[..., -1] if leaf.ndim > 1 else leaf, trace)
+    last = jax.tree.map(lambda leaf: leaf[-1], trace)
     assert_close(*(jax.tree.map(lambda leaf: leaf[:AGREE], run) for run in (last, alone)))
 
 

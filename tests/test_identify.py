@@ -491,7 +491,7 @@ def test_a_trace_of_many_scenarios_is_refused(clean_trace):
     many = jax.tree.map(lambda x: jnp.stack([x, x], axis=-1), clean_trace)
     text = (
         "trace must be of one run, [T, n], got y of shape (1000, 6, 2); "
-        "take one scenario of it: jax.tree.map(lambda x: x[..., i], trace)"
+        "take one scenario of it: jax.tree.map(lambda x: x[i], trace)"
     )
     with pytest.raises(ValueError, match=re.escape(text)):
         identify.from_trace(many)

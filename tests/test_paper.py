@@ -8,7 +8,7 @@ import pytest
 
 import jaxftc
 from jaxftc.evaluation import metrics
-from jaxftc.scenarios.scenario import CONDITIONS, PAPER_ANGLE, PAPER_TORQUE, paper_scenario, stack, trail
+from jaxftc.scenarios.scenario import CONDITIONS, PAPER_ANGLE, PAPER_TORQUE, paper_scenario, stack
 
 # Figures to meet with one set of gains: torque estimate N m, angle estimate deg, tracking deg, each rms over joints and one
 # second, at the paper's fault sizes and at half of them. They are those of a plain reference implementation of the same
@@ -50,7 +50,7 @@ def test_default_gains_meet_the_reference(observer, share, paper_arm):
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain", observer=observer)
         sizes = {"torque": share * PAPER_TORQUE, "angle": share * PAPER_ANGLE}
-        batch = trail(stack([paper_scenario(condition, config, **sizes) for condition in CONDITIONS]))
+        batch = stack([paper_scenario(condition, config, **sizes) for condition in CONDITIONS])
         for condition, merit in zip(CONDITIONS, merits(config, jaxftc.default_gains(config), batch), strict=True):
             if condition != "healthy":
                 torque, angle, tracking = REFERENCE[share][condition, observer]
@@ -61,11 +61,11 @@ def test_default_gains_meet_the_reference(observer, share, paper_arm):
 
 def detect(config, conditions, seeds):
     """What is found with each seed of each condition, all side by side."""
-    batch = trail(stack([paper_scenario(condition, config) for condition in conditions]))
-    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf, seeds, -1), batch)
+    batch = stack([paper_scenario(condition, config) for condition in conditions])
+    batch = jax.tree.map(lambda leaf: jnp.repeat(leaf, seeds, 0), batch)
     batch = batch._replace(id=jnp.tile(jnp.arange(seeds, dtype=jnp.int32), len(conditions)))
     trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(11)))
-    runs = [{name: trace[name][..., s] for name in ("verdict", "fault_tau", "fault_q")} for s in range(batch.id.size)]
+    runs = [{name: trace[name][s] for name in ("verdict", "fault_tau", "fault_q")} for s in range(batch.id.size)]
     found = [metrics.detection(config, run["verdict"], *metrics.truth(run["fault_tau"], run["fault_q"])) for run in runs]
     return {condition: found[k * seeds : (k + 1) * seeds] for k, condition in enumerate(conditions)}
 
@@ -94,11 +94,11 @@ def test_fault_is_decided_on_every_joint_in_50_seeds(condition, decided):
 def test_verdicts_return_to_normal_after_the_fault(paper_arm):
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain")
-        batch = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
+        batch = stack([paper_scenario(condition, config) for condition in CONDITIONS])
         trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(2)))
     for k, condition in enumerate(CONDITIONS):
-        assert (trace["verdict"][350:, :, k] == 0).all(), condition
-        assert (trace["verdict"][:100, :, k] == 0).all(), condition
+        assert (trace["verdict"][k, 350:] == 0).all(), condition
+        assert (trace["verdict"][k, :100] == 0).all(), condition
 
 
 @pytest.mark.slow
@@ -114,7 +114,7 @@ def test_hard_sign_raises_the_noise_floor(paper_arm):
     """Gains for the smooth sign are not simply valid with the printed one: the healthy residual grows past the threshold."""
     with jax.enable_x64(False):
         config = jaxftc.Config(paper_arm, engine="chain")
-        batch = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
+        batch = stack([paper_scenario(condition, config) for condition in CONDITIONS])
         smooth, hard = (
             merits(dataclasses.replace(config, sign=s), jaxftc.default_gains(config), batch) for s in ("smooth", "hard")
         )

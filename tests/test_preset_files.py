@@ -16,19 +16,19 @@ from hypothesis import strategies as st
 
 import jaxftc
 from jaxftc.scenarios.distributions import Choice, Normal, Uniform, extent, quantile
-from jaxftc.scenarios.preset import Encoder, Incipient, Intermittent, Joints, Motion, PlantLaws, Preset, Shares, Times
-from jaxftc.scenarios.preset_file import as_dict, load_preset
-from jaxftc.scenarios.preset_kinds import (
+from jaxftc.scenarios.faults import (
     ActuatorFaults,
     AngleBias,
     Drift,
-    Kind,
     SensorFaults,
     Share,
     Signed,
     Sized,
     TorqueBias,
+    Unsized,
 )
+from jaxftc.scenarios.preset import Encoder, Incipient, Intermittent, Joints, Motion, PlantLaws, Preset, Shares, Times
+from jaxftc.scenarios.preset_file import as_dict, load_preset
 from jaxftc.scenarios.presets import PRESET_NAMES
 
 BUILT_IN = importlib.resources.files("jaxftc.scenarios.presets")
@@ -90,7 +90,7 @@ duty = 0.5
     preset = load(text + more)
     assert preset.joints.allowed == (1, 2, 3)
     assert preset.actuator.saturation == Share(size=Normal((0.3, 0.1), (0.1, 0.5)))
-    assert preset.sensor.dropout == Kind(weight=0.5)
+    assert preset.sensor.dropout == Unsized(weight=0.5)
     assert preset.times.incipient == Incipient(0.3, Choice((0.1, 0.2)))
     assert preset.times.intermittent == Intermittent(0.2, 0.1, 0.5)
 
@@ -143,7 +143,7 @@ def test_a_base_gives_what_is_not_said(load):
 def test_the_kinds_of_a_channel_and_laws_are_replaced_as_a_whole(load):
     standard = load_preset("standard")
     preset = load(base("[sensor.dropout]\n[plant]\nmass = { normal = [1.0, 0.01], within = [0.9, 1.1] }"))
-    assert preset.sensor == SensorFaults(dropout=Kind()) and preset.actuator == standard.actuator
+    assert preset.sensor == SensorFaults(dropout=Unsized()) and preset.actuator == standard.actuator
     assert preset.sensor_in_both == standard.sensor_in_both
     assert preset.plant.mass == Normal((1.0, 0.01), (0.9, 1.1))
 
@@ -351,7 +351,7 @@ def laws(low=-1e6, high=1e6):
 
 weights = reals(1e-3, 100.0)
 signs = st.sampled_from(["as_drawn", "random"])
-kind = st.none() | st.builds(Kind, weight=weights)
+kind = st.none() | st.builds(Unsized, weight=weights)
 maybe = lambda table, size, **more: st.none() | st.builds(table, size=size, weight=weights, **more)  # noqa: E731
 sensors = st.builds(
     SensorFaults,
@@ -379,7 +379,7 @@ presets = st.builds(
         ActuatorFaults,
         bias=maybe(TorqueBias, laws(), unit=st.sampled_from(["limit", "N m"]), sign=signs),
         loss=maybe(Share, share),
-        stuck=st.builds(Kind, weight=weights),
+        stuck=st.builds(Unsized, weight=weights),
         saturation=maybe(Share, share),
     ),
     sensor=sensors,

@@ -194,8 +194,8 @@ def test_a_loaded_arm_runs_the_whole_loop(tmp_path):
     """
     config = jaxftc.Config(load(tmp_path, SEVEN_HINGES), engine="chain", duration=0.05)
     healthy = jaxftc.paper_scenario("healthy", config)._replace(noise=jnp.zeros(()))
-    trace = jaxftc.simulate(config, jaxftc.default_gains(config), trail(stack([healthy])), jax.random.key(0))
-    chex.assert_shape(trace.q, (50, 7, 1))
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), stack([healthy]), jax.random.key(0))
+    chex.assert_shape(trace.q, (1, 50, 7))
     assert np.abs(trace.q - trace.q_ref).max() < 1e-3
     assert not trace.out.detected.any()
 
@@ -419,9 +419,9 @@ def test_simulate_refuses(config, path, value, text):
         jaxftc.simulate(config, jaxftc.default_gains(config), scenario, jax.random.key(0))
 
 
-def test_simulate_refuses_scenarios_on_a_leading_axis(config):
-    sampled = jaxftc.sample_scenarios(jax.random.key(0), 4, "paper", config=config)
-    with refuses("sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"):
+def test_simulate_refuses_scenarios_on_a_trailing_axis(config):
+    sampled = trail(jaxftc.sample_scenarios(jax.random.key(0), 4, "paper", config=config))
+    with refuses("scenario.q_start must have shape [4, 6], got [6, 4]; ids are [4]"):
         jaxftc.simulate(config, jaxftc.default_gains(config), sampled, jax.random.key(0))
 
 

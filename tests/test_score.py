@@ -45,7 +45,7 @@ def scores(setting):
 @pytest.fixture(scope="module")
 def trace(setting):
     config, gains, scenarios = setting
-    return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, jaxftc.trail(scenarios), jax.random.key(7)))
+    return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, scenarios, jax.random.key(7)))
 
 
 @pytest.mark.parametrize("field", online.Score._fields)

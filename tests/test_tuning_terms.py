@@ -11,6 +11,7 @@ import jaxftc
 from jaxftc.evaluation import metrics
 from jaxftc.observer import stability
 from jaxftc.scenarios.scenario import take, trail
+from jaxftc.simulation.closed_loop import lead, rollout
 from tests.arms import three_hinges
 from tests.twins import terms as twin
 from tuning import OBJECTIVE, Problem, Run, Term, transform
@@ -32,7 +33,7 @@ def run(arm):
     onset = np.asarray(many.fault_tau.onset)[:, 0]
     scenarios = trail(take(many, np.flatnonzero(onset < 0.2)[:N]))
     gains = jaxftc.default_gains(arm)
-    return Run(arm, gains, scenarios, jaxftc.simulate(arm, gains, scenarios, jax.random.key(1)))
+    return Run(arm, gains, scenarios, rollout(arm, gains, scenarios, jax.random.key(1)))
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_terms_are_those_of_the_twin(run, values):
     kinds = {"healthy": 0, "faulty": 0}
     for k in range(N):
         scenario = jax.tree.map(lambda leaf: np.asarray(leaf)[..., k], run.scenario)  # noqa: B023
-        expected = twin.terms(run.config, scenario, metrics.columns(run.trace, k))
+        expected = twin.terms(run.config, scenario, metrics.columns(lead(run.trace), k))
         for name, value in expected.items():
             np.testing.assert_allclose(values[name][k], value, rtol=1e-6, atol=2e-6, err_msg=f"{name} of scenario {k}")
         kinds["faulty" if (scenario.fault_tau.kind + scenario.fault_q.kind).any() else "healthy"] += 1

@@ -96,9 +96,22 @@ def compare(
     objective: Mapping[str, Term] = OBJECTIVE,
     batch: int = 64,
 ) -> list[Comparison]:
-    """Both sets of gains on n fresh scenarios of each preset: with the smooth sgn, then with the hard one.
+    """Both sets of gains on fresh scenarios of each preset: with the smooth sgn, then with the hard one.
 
-    Give a key that no tuning has seen. The hard sgn shows how far gains tuned with the smooth one hold.
+    The hard sgn shows how far gains tuned with the smooth one hold.
+
+    Args:
+        config: Robot, structure and timing.
+        before: One set of gains.
+        after: The other.
+        key: One that no tuning has seen.
+        presets: Names of presets.
+        n: Scenarios of each.
+        objective: Terms by name.
+        batch: Scenarios side by side.
+
+    Returns:
+        A comparison for each sgn and preset.
     """
     draw, noise = jax.random.split(key)
     found = []

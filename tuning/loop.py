@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import check as check_scenario
 from jaxftc.types import Array
 from tuning import checkpoint, methods, transform
@@ -43,18 +43,31 @@ class Progress(NamedTuple):
 
 
 class Result(NamedTuple):
-    """What came of a run."""
+    """What came of a run.
+
+    Attributes:
+        gains: The best on the validation scenarios.
+        best_step: Step after which they were found.
+        history: A row a round: the fields of Progress, and ``term_<name>`` on the last batch.
+        events: Recoveries.
+        stopped: Why it ended.
+        simulations: Closed-loop runs, a gradient counted as ``GRADIENT_COST``.
+        seconds: Wall time.
+        steps: Steps that were made.
+        validation: Mean of each term there, with the starting gains and with the gains.
+        limits: Largest mean of a term there that was allowed.
+    """
 
     gains: Gains
-    best_step: int  # of the gains
-    history: dict[str, np.ndarray]  # a row a round: the fields of Progress, and ``term_<name>`` on the last batch
-    events: list[str]  # recoveries
-    stopped: str  # why it ended
+    best_step: int
+    history: dict[str, np.ndarray]
+    events: list[str]
+    stopped: str
     simulations: int
     seconds: float
     steps: int
-    validation: dict[str, tuple[float, float]]  # mean of each term there, with the starting gains and with the gains
-    limits: dict[str, float]  # largest mean of a term there that was allowed
+    validation: dict[str, tuple[float, float]]
+    limits: dict[str, float]
 
     @property
     def within_limits(self) -> bool:
@@ -78,14 +91,30 @@ def fit(
     folder: Path | None = None,
     on_round: Callable[[Progress, Gains], object] = lambda progress, best: None,
 ) -> Result:
-    """Tune gains on scenarios with a leading axis, as ``jaxftc.sample_scenarios`` gives them.
+    """Tune gains over batches of scenarios, through the closed loop.
 
-    ``only``, ``freeze`` and ``shared`` name gains (``observer.alpha_i``) or blocks (``control``): what is tuned (all that
-    the config uses but the poles, if empty), what is not, what moves on all joints alike. Without ``validation`` a quarter
-    of the scenarios is kept back for it. ``limits`` are the largest means of terms there that are allowed: gains beyond
-    one are never chosen, and where none are found that keep all, the start is the answer (``Result.within_limits``).
-    With a ``folder``, a checkpoint is written there after every round, and a run that finds one goes on from it, to the
-    same gains bit for bit. ``on_round`` is called with where it stands and the best gains so far.
+    ``only``, ``freeze`` and ``shared`` name gains (``observer.alpha_i``) or blocks (``control``).
+
+    Args:
+        config: Robot, structure and timing.
+        gains: To start from.
+        scenarios: To tune on, with a leading axis, as ``jaxftc.sample_scenarios`` gives them.
+        key: Of the encoder noise and the choice of batches.
+        validation: Scenarios to choose the best gains on; a quarter of ``scenarios`` if None.
+        objective: Terms by name; their weighted mean is what is made smaller.
+        limits: Largest means of terms on the validation scenarios. Gains beyond one are never
+            chosen; where none are found that keep all, the start is the answer
+            (``Result.within_limits``).
+        only: What is tuned; all that the config uses but the poles, if empty.
+        freeze: What of it is not.
+        shared: What moves on all joints alike.
+        settings: How to search.
+        folder: Where a checkpoint is written after every round. A run that finds one goes on from
+            it, to the same gains bit for bit.
+        on_round: Called after every round with where it stands and the best gains so far.
+
+    Returns:
+        The best gains and how they were found.
 
     Raises:
         ValueError: an unknown or unused gain, a limit on an unknown term, nothing to tune, no or too few scenarios, start
@@ -132,7 +161,7 @@ def _split(
         kept = take(validation, slice(None))
         kept = kept._replace(id=kept.id + 1 + scenarios.id.max() - kept.id.min())  # no noise of a training scenario
     for part in (scenarios, kept):
-        check_scenario(config, gains, trail(part))
+        check_scenario(config, gains, part)
     return scenarios, kept
 
 

@@ -16,7 +16,7 @@ from jaxftc.gains import Gains, specs
 from jaxftc.report.figures import COLOURS, LIMIT, LOGARITHMIC, TRUTH, Panel, by_joint, finish, shade, surface_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.scenarios.faults import Actuator, Sensor
-from jaxftc.scenarios.scenario import Scenario, take, trail
+from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import simulate
 from tuning.held_out import Comparison
 from tuning.loop import Result
@@ -166,7 +166,7 @@ def worst_figures(config: Config, before: Gains, after: Gains, c: Comparison) ->
     """Tracking error and residual statistics of the scenarios with the largest objective after tuning."""
     own = c.weights @ c.after
     rows = np.argsort(own)[::-1][:WORST]
-    chosen = trail(take(c.scenarios, rows))
+    chosen = take(c.scenarios, rows)
     traces = [simulate(config, gains, chosen, c.key) for gains in (before, after)]
     found = []
     for k, row in enumerate(rows):

@@ -21,26 +21,35 @@ ROUND = 5  # gradient steps between two validations, at most
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How to search; ``check`` says whether it can be done."""
+    """How to search; ``check`` says whether it can be done.
+
+    Attributes:
+        method: Gradient through the closed loop; CMA-ES, random search or finite differences with
+            the same budget of simulations.
+        steps: Gradient steps; another method gets as many simulations as these would cost.
+        batch: Scenarios per step.
+        validation: Scenarios on which the best gains are chosen; never trained on.
+        optimizer: Rule of the gradient steps, after clipping. From Python also any
+            optax.GradientTransformation, made with rate 1.
+        learning_rate: In units of theta: 0.1 changes a gain without an upper limit by about 10 %
+            a step.
+        mode: Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains,
+            and in memory.
+        anneal: Factor on the widths of both smooth signs at the first and the last step; the
+            gains get the last one.
+        patience: Share of the steps without a better validation after which it stops; 1 never
+            stops early.
+    """
 
     method: Literal["gradient", "cmaes", "random", "finite"] = "gradient"
-    """Gradient through the closed loop; CMA-ES, random search or finite differences with the same budget of simulations."""
     steps: int = 100
-    """Gradient steps; another method gets as many simulations as these would cost."""
     batch: int = 64
-    """Scenarios per step."""
     validation: int = 128
-    """Scenarios on which the best gains are chosen; never trained on."""
     optimizer: Optimizer = "adam"
-    """Rule of the gradient steps, after clipping. From Python also any optax.GradientTransformation, made with rate 1."""
     learning_rate: float = 0.1
-    """In units of theta: 0.1 changes a gain without an upper limit by about 10 % a step."""
     mode: Literal["reverse", "forward"] = "reverse"
-    """Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains, and in memory."""
     anneal: tuple[float, float] = (2.0, 1.0)
-    """Factor on the widths of both smooth signs at the first and the last step; the gains get the last one."""
     patience: float = 0.5
-    """Share of the steps without a better validation after which it stops; 1 never stops early."""
 
     def check(self) -> None:
         """Refuse what cannot be done.

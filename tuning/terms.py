@@ -49,11 +49,18 @@ Function = Callable[[Run], Array]
 
 
 class Term(NamedTuple):
-    """One weighted part of the objective."""
+    """One weighted part of the objective.
+
+    Attributes:
+        weight: In the objective, 1.
+        value: Function of a ``Run``: [...], unit-free.
+        gains_only: Its run has neither scenario nor trace; found once for all scenarios with the
+            same gains.
+    """
 
     weight: float
-    value: Function  # Run -> [...], unit-free
-    gains_only: bool = False  # its run has neither scenario nor trace; found once for all scenarios with the same gains
+    value: Function
+    gains_only: bool = False
 
 
 def _rms(x: Array, unit: Array | float) -> Array:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.peers.mujoco_c import timed_model
-from jaxftc.robot import mjx as door
+from jaxftc.robot import mjx as engine
 from jaxftc.robot.model import Robot
 
 
@@ -17,7 +17,7 @@ class Plant:
     """Arms side by side under a held torque for some steps; the first call compiles."""
 
     def __init__(self, robot: Robot, dt: float, ticks: int) -> None:
-        mjx = door.module()  # the one file that imports it
+        mjx = engine.module()  # the one file that imports it
         model, blank = mjx.put_model(timed_model(robot, dt)), mjx.make_data(timed_model(robot, dt))
 
         def one(q: jax.Array, qd: jax.Array, tau: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -37,16 +37,27 @@ class Peaks(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """Thresholds, and what they reach on runs that they were not set on."""
+    """Thresholds, and what they reach on runs that they were not set on.
+
+    Attributes:
+        gains: With the thresholds.
+        wanted: Share of runs with an alarm.
+        confidence: That the share is not larger.
+        runs: That the thresholds were set on.
+        rounds: Times that the thresholds were set, each time with the last ones in force.
+        settled: Whether the last round changed them by less than SETTLED.
+        fresh: Runs that they were checked on.
+        reached: Share of those with an alarm, with its 95 % interval.
+    """
 
     gains: Gains
-    wanted: float  # share of runs with an alarm
+    wanted: float
     confidence: float
-    runs: int  # that the thresholds were set on
+    runs: int
     rounds: int
-    settled: bool  # whether the last round changed them by less than SETTLED
-    fresh: int  # runs that they were checked on
-    reached: Interval  # share of those with an alarm, with its 95 % interval
+    settled: bool
+    fresh: int
+    reached: Interval
 
     @property
     def met(self) -> bool:

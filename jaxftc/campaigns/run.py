@@ -35,9 +35,17 @@ MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at
 def campaign(
     config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
 ) -> dict[str, np.ndarray]:
-    """Run scenarios with a leading axis; a dict of columns, one row a scenario (``docs/campaigns.md`` lists them).
+    """Run scenarios through the closed loop and score them while they run, on all cores.
 
-    The noise of a scenario depends on ``key`` and its id alone. ``done`` is told how many more are through.
+    Args:
+        config: Robot, structure and timing.
+        gains: One set for all scenarios.
+        scenarios: A set with a leading axis, as ``sample_scenarios`` draws it.
+        key: Of the encoder noise; a scenario's noise depends on it and the scenario's id alone.
+        done: Called with the number of runs that are newly through.
+
+    Returns:
+        Columns by name, a row a scenario (``docs/campaigns.md`` lists them).
 
     Raises:
         ValueError: gains or scenarios are of a wrong shape, not finite or outside their limits.
@@ -57,7 +65,7 @@ def scores(
         )
     if not len(scenarios.id):
         raise ValueError("scenarios must be at least one, got none; draw them with jaxftc.sample_scenarios")
-    check(config, gains, trail(scenarios))
+    check(config, gains, scenarios)
     checks.random_key("key", key)
     count, wide, program = len(scenarios.id), width(), _program(stages.general(config))
 
@@ -90,7 +98,7 @@ def draw(preset: Preset, config: Config, key: Array, ids: np.ndarray) -> Scenari
 def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tuple[dict[str, np.ndarray], Trace]:
     """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
     copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], width(), axis=0), scenario)
-    check(config, gains, trail(copies))
+    check(config, gains, copies)
     result, trace = _program(stages.general(config))(key, stages.as_data(config), gains, copies)
     row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
     return row, trace

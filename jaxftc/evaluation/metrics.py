@@ -120,4 +120,4 @@ def columns(trace: object, scenario: int | None = None) -> dict[str, np.ndarray]
     arrays = {name: np.asarray(value) for name, value in flat.items()}
     if scenario is None:
         return arrays
-    return {name: value if name == "t" else value[..., scenario] for name, value in arrays.items()}
+    return {name: value[scenario] for name, value in arrays.items()}

@@ -5,33 +5,20 @@ Angles are in degrees here: people read these numbers, in Parquet files too. Tim
 
 from __future__ import annotations
 
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.evaluation.online import LEVELS, Score
-from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.faults import Actuator, Fault, Kind, Sensor
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import LABELS, Verdict
 
 CROSSINGS = tuple(f"delay_at_{level:.3f}_s" for level in LEVELS)  # delays with all thresholds times LEVELS
-UNITS: dict[tuple[type[IntEnum], int], str] = {
-    (Actuator, Actuator.BIAS): "N m",
-    (Actuator, Actuator.LOSS): "1",
-    (Actuator, Actuator.STUCK): "",
-    (Actuator, Actuator.SATURATION): "1",
-    (Sensor, Sensor.BIAS): "deg",
-    (Sensor, Sensor.DRIFT): "deg/s",
-    (Sensor, Sensor.SCALE): "1",
-    (Sensor, Sensor.FREEZE): "",
-    (Sensor, Sensor.NOISE): "1",
-    (Sensor, Sensor.DROPOUT): "",
-}
 
 
-def _names(kinds: type[IntEnum]) -> np.ndarray:
+def _names(kinds: type[Kind]) -> np.ndarray:
     """Names by number, none of them empty."""
     return np.array(["", *(k.name.lower() for k in kinds if k > 0)])
 
@@ -138,7 +125,7 @@ def _first(where: np.ndarray) -> np.ndarray:
 class _Channel:
     """Faults of one channel, [scenarios, n] as sampled, as columns; magnitude and law are the first faulty joint's."""
 
-    def __init__(self, config: Config, fault: Fault, kinds: type[IntEnum]) -> None:
+    def __init__(self, config: Config, fault: Fault, kinds: type[Kind]) -> None:
         onset = np.asarray(fault.onset)
         begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in score.truth
         kind = np.where(begins, np.asarray(fault.kind), 0).T
@@ -150,7 +137,7 @@ class _Channel:
 
         self.code, size = kind[at[0], np.arange(kind.shape[1])], _double(own(fault.magnitude))
         self.name = _names(kinds)[self.code]
-        self.unit = np.array(["", *(UNITS[kinds, k] for k in kinds if k > 0)])[self.code]
+        self.unit = np.array([kind.unit.replace("rad", "deg") for kind in kinds])[self.code]
         size = np.where(np.char.startswith(self.unit, "deg"), np.rad2deg(size), size)
         self.magnitude = np.where(self.unit == "", np.nan, size)
         self.joint = _first(self.faulty)

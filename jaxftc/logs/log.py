@@ -40,7 +40,7 @@ def from_trace(trace: Trace) -> Log:
     if np.ndim(trace.y) != 2:
         raise ValueError(
             f"trace must be of one run, [T, n], got y of shape {np.shape(trace.y)}; "
-            "take one scenario of it: jax.tree.map(lambda x: x[..., i], trace)"
+            "take one scenario of it: jax.tree.map(lambda x: x[i], trace)"
         )
     return Log(np.asarray(trace.y), np.asarray(trace.out.tau))
 

@@ -26,7 +26,7 @@ from jaxftc.paper.claims import judge
 from jaxftc.paper.results import Arx, Comparison, Experiment, Row
 from jaxftc.robot.dynamics import ENGINES
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_scenario, stack, trail
-from jaxftc.simulation.closed_loop import Trace, blank_trace, check, program_kind, watch
+from jaxftc.simulation.closed_loop import Trace, blank_trace, check, lead, program_kind, watch
 from jaxftc.types import Array
 
 SWEEP = np.geomspace(1 / 8, 8, 9)  # factors on the switching gain; the middle one is 1
@@ -46,10 +46,10 @@ def run(config: Config, gains: Gains, key: Array) -> Experiment:
     pairs = [(observer, control) for observer in OBSERVERS for control in CONTROLS]
     swept = [pair for pair in pairs if pair[0] == OBSERVERS[-1]]
     plain, sweep = _plain(config), _sweep(config)
-    scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves, axis=-1), *[plain] * len(pairs), *[sweep] * len(swept))
+    scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *[plain] * len(pairs), *[sweep] * len(swept))
     runs = [(pair, len(plain.id)) for pair in pairs] + [(pair, len(sweep.id)) for pair in swept]
     on = [stages.of(dataclasses.replace(config, observer=o, control=c)) for (o, c), _ in runs]  # pyright: ignore[reportArgumentType]
-    flags = stages.Stages(*(np.repeat(np.array(f), [count for _, count in runs]) for f in zip(*on, strict=True)))
+    flags = stages.Stages(*(jnp.asarray(np.repeat(f, [count for _, count in runs])) for f in zip(*on, strict=True)))
     threshold = np.ones(PLAIN)
     threshold[-len(WRONG) :] = [factor for _, factor in WRONG]
     factors = np.repeat(SWEEP, SEEDS * len(CONDITIONS))
@@ -59,7 +59,9 @@ def run(config: Config, gains: Gains, key: Array) -> Experiment:
         threshold=np.concatenate([np.tile(threshold, len(pairs)), np.ones(len(factors) * len(swept))]),
     )
     check(config, scaled, scenarios)
-    kept, curve = _PROGRAMS[config.engine](stages.general(config), PLAIN * len(pairs), flags, scaled, scenarios, key)
+    program, count = _PROGRAMS[config.engine], PLAIN * len(pairs)
+    kept, curve = program(stages.general(config), count, flags, scaled, trail(scenarios), key)
+    kept = lead(kept)
 
     first = {pair: PLAIN * k for k, pair in enumerate(pairs)}
     traces = {pair: [metrics.columns(kept, at + c) for c in range(len(CONDITIONS))] for pair, at in first.items()}
@@ -77,19 +79,19 @@ def run(config: Config, gains: Gains, key: Array) -> Experiment:
 
 
 def _plain(config: Config) -> Scenario:
-    """The runs whose traces are kept, on a trailing axis."""
+    """The runs whose traces are kept."""
     kept = [*enumerate(CONDITIONS), (len(CONDITIONS), "healthy")]  # noise, condition
     kept += [(CONDITIONS.index(condition), condition) for condition, _ in WRONG]
-    return trail(stack([paper_scenario(condition, config, scenario_id=noise) for noise, condition in kept]))
+    return stack([paper_scenario(condition, config, scenario_id=noise) for noise, condition in kept])
 
 
 def _sweep(config: Config) -> Scenario:
-    """Factor, seed and condition (fastest) on one trailing axis.
+    """Factor, seed and condition (fastest) on one axis.
 
     The noise of a run depends on seed and condition, so that factors and controllers are compared on the same.
     """
-    four = trail(stack([paper_scenario(condition, config) for condition in CONDITIONS]))
-    many = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(SWEEP) * SEEDS, axis=-1), four)
+    four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
+    many = jax.tree.map(lambda leaf: jnp.concatenate([leaf] * len(SWEEP) * SEEDS), four)
     return many._replace(id=jnp.tile(100 + jnp.arange(SEEDS * len(CONDITIONS), dtype=jnp.int32), len(SWEEP)))
 
 

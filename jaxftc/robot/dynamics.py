@@ -1,4 +1,4 @@
-"""The door to the arm's dynamics: one signature, two engines.
+"""The arm's dynamics: one signature, two engines.
 
 Equation of motion (design choice on Eq. 1, signs as in ``docs/paper.md``)::
 
@@ -29,14 +29,23 @@ ENGINES: tuple[str, ...] = ("mjx", "chain")
 
 
 class Plant(NamedTuple):
-    """How the arm that is simulated differs from the nominal one: factors (1 is nominal) and a payload."""
+    """How the arm that is simulated differs from the nominal one: factors (1 is nominal) and a payload.
 
-    mass: Array  # [n, ...] 1, on the mass and inertia of each link
-    payload: Array  # [...] kg, at the tool
-    armature: Array  # [n, ...] 1, on the reflected motor inertia
-    damping: Array  # [n, ...] 1, on the viscous friction
-    coulomb: Array  # [n, ...] 1, on the Coulomb friction
-    torque_constant: Array  # [n, ...] 1, delivered torque over commanded torque
+    Attributes:
+        mass: [n, ...] 1, on the mass and inertia of each link.
+        payload: [...] kg, at the tool.
+        armature: [n, ...] 1, on the reflected motor inertia.
+        damping: [n, ...] 1, on the viscous friction.
+        coulomb: [n, ...] 1, on the Coulomb friction.
+        torque_constant: [n, ...] 1, delivered torque over commanded torque.
+    """
+
+    mass: Array
+    payload: Array
+    armature: Array
+    damping: Array
+    coulomb: Array
+    torque_constant: Array
 
 
 def nominal_plant(robot: Robot) -> Plant:
@@ -80,7 +89,18 @@ def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau
 def forward_dynamics(
     robot: Robot, q: Array, qd: Array, tau: Array, engine: Engine = "mjx", plant: Plant | None = None
 ) -> Array:
-    """Joint accelerations [n, ...] rad/s^2 under torques [n, ...] N m, friction included.
+    """Joint accelerations under torques, friction included.
+
+    Args:
+        robot: The arm.
+        q: [n, ...] rad, angles. Any trailing axes are configurations side by side.
+        qd: [n, ...] rad/s, speeds.
+        tau: [n, ...] N m, torques of the motors.
+        engine: ``mjx`` or ``chain``.
+        plant: How the arm differs from its model; not at all if None.
+
+    Returns:
+        [n, ...] rad/s^2.
 
     Raises:
         ValueError: an unknown engine, or an array whose first axis is not the joints.
@@ -91,7 +111,20 @@ def forward_dynamics(
 
 
 def inverse_dynamics(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
-    """Joint torques [n, ...] N m that give accelerations [n, ...] rad/s^2, friction included, by one Newton-Euler pass."""
+    """Joint torques that give accelerations, friction included, by one Newton-Euler pass.
+
+    Args:
+        robot: The arm.
+        q: [n, ...] rad, angles. Any trailing axes are configurations side by side.
+        qd: [n, ...] rad/s, speeds.
+        qdd: [n, ...] rad/s^2, accelerations.
+
+    Returns:
+        [n, ...] N m.
+
+    Raises:
+        ValueError: an array whose first axis is not the joints.
+    """
     q, qd, qdd = _arrays(robot, q=q, qd=qd, qdd=qdd)
     return nominal_torque(robot, rigid_body.pose(robot, q), qd, qdd) + coulomb(robot, qd)
 

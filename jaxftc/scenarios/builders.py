@@ -8,6 +8,7 @@ with a leading axis. They may be traced; ``joint`` may not.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Literal, TypedDict, TypeVar, Unpack
 
 import jax.numpy as jnp
@@ -19,6 +20,7 @@ from jaxftc import checks
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.types import Array
 
+F = TypeVar("F", bound=Callable[..., Any])
 S = TypeVar("S")  # Scenario, which has these functions as methods
 
 
@@ -31,68 +33,90 @@ class Law(TypedDict, total=False):
     duty: ArrayLike  # 1, share of the period in which it is there
 
 
+SIGNATURE = """
+
+Args:
+    scenario: One scenario, or a set with a leading axis.
+    joint: Which one, from 1.{size}
+    onset: When it comes, s.
+    **law: ``clear`` s, ``rise`` s, ``period`` s and ``duty``, as in ``Law``.
+
+Returns:
+    The scenario with this fault.
+
+Raises:
+    ValueError: no such joint, a number that is not finite or not allowed, or scenarios on trailing axes.
+"""
+
+
+def _explained(size: str = "") -> Callable[[F], F]:
+    """Complete a docstring with what all builders share; ``size`` explains the argument that says how large."""
+
+    def complete(builder: F) -> F:
+        builder.__doc__ = (builder.__doc__ or "") + SIGNATURE.format(size=f"\n    {size}" if size else "")
+        return builder
+
+    return complete
+
+
+@_explained("torque: Added torque, N m.")
 def with_actuator_bias(scenario: S, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """A torque added to the motor's.
-
-    Args:
-        scenario: One scenario, or a set with a leading axis.
-        joint: Which one, from 1.
-        torque: Added torque, N m.
-        onset: When it comes, s.
-        **law: ``clear`` s, ``rise`` s, ``period`` s and ``duty``, as in ``Law``.
-
-    Returns:
-        The scenario with this fault.
-
-    Raises:
-        ValueError: no such joint, a number that is not finite or not allowed, or scenarios on trailing axes.
-    """
+    """A torque added to the motor's."""
     return _with(scenario, "fault_tau", Actuator.BIAS, joint, torque, onset, law)
 
 
+@_explained("share: Lost share of the command, 0 to 1.")
 def with_actuator_loss(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """A share, 0 to 1, of the commanded torque is lost; the rest as ``with_actuator_bias``."""
+    """A share of the commanded torque is lost."""
     return _with(scenario, "fault_tau", Actuator.LOSS, joint, _share(share), onset, law)
 
 
+@_explained("share: Share of the limit that is left, 0 to 1.")
 def with_actuator_saturation(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """Only a share, 0 to 1, of the torque limit is left; the rest as ``with_actuator_bias``."""
+    """Only a share of the torque limit is left."""
     return _with(scenario, "fault_tau", Actuator.SATURATION, joint, _share(share), onset, law)
 
 
+@_explained()
 def with_stuck_actuator(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """The torque stays what it was at onset; the rest as ``with_actuator_bias``."""
+    """The torque stays what it was at onset."""
     return _with(scenario, "fault_tau", Actuator.STUCK, joint, 0.0, onset, law)
 
 
+@_explained("angle: Added angle, rad.")
 def with_encoder_bias(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """An angle, rad, added to the reading; the rest as ``with_actuator_bias``."""
+    """An angle added to the reading."""
     return _with(scenario, "fault_q", Sensor.BIAS, joint, angle, onset, law)
 
 
+@_explained("rate: How fast it drifts, rad/s.")
 def with_encoder_drift(scenario: S, joint: int, rate: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """The reading drifts off at a rate, rad/s; the rest as ``with_actuator_bias``."""
+    """The reading drifts off."""
     return _with(scenario, "fault_q", Sensor.DRIFT, joint, rate, onset, law)
 
 
+@_explained("share: Added share of the angle, 1.")
 def with_encoder_scale(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """A share of the angle is added to the reading; the rest as ``with_actuator_bias``."""
+    """A share of the angle is added to the reading."""
     return _with(scenario, "fault_q", Sensor.SCALE, joint, share, onset, law)
 
 
+@_explained("factor: On the encoder's noise, 1.")
 def with_encoder_noise(scenario: S, joint: int, factor: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """The encoder's noise is a factor larger; the rest as ``with_actuator_bias``."""
+    """The encoder's noise is larger."""
     _require("factor", factor, 0.0, math.inf)
     return _with(scenario, "fault_q", Sensor.NOISE, joint, factor, onset, law)
 
 
+@_explained()
 def with_frozen_encoder(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """The reading stays what it was at onset; the rest as ``with_actuator_bias``."""
+    """The reading stays what it was at onset."""
     return _with(scenario, "fault_q", Sensor.FREEZE, joint, 0.0, onset, law)
 
 
+@_explained()
 def with_encoder_dropout(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
-    """There is no reading; the rest as ``with_actuator_bias``."""
+    """There is no reading."""
     return _with(scenario, "fault_q", Sensor.DROPOUT, joint, 0.0, onset, law)
 
 
@@ -109,7 +133,7 @@ def _with(
     if shape[:-1] != axes:
         raise ValueError(
             "faults are given to one scenario or to a set with a leading axis, "
-            f"got q_start of shape {list(shape)} and id of shape {list(axes)}; give them before jaxftc.trail"
+            f"got q_start of shape {list(shape)} and id of shape {list(axes)}"
         )
     checks.integer("joint", joint, 1, f"joints count from 1 to {shape[-1]}")
     if joint > shape[-1]:

@@ -14,8 +14,8 @@ from typing import Annotated
 from pydantic import Strict
 
 from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
+from jaxftc.scenarios.faults import ActuatorFaults, AngleBias, SensorFaults, TorqueBias, kinds
 from jaxftc.scenarios.preset_error import PresetError, is_integer
-from jaxftc.scenarios.preset_kinds import ActuatorFaults, AngleBias, SensorFaults, TorqueBias, kinds
 from jaxftc.scenarios.scenario import CONDITIONS, ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
 
 Whole = Annotated[int, Strict()]

@@ -30,9 +30,16 @@ BASE = 'or take what is not said from a preset, with base = "standard" on top'
 
 
 def load_preset(preset: str | Path | Preset) -> Preset:
-    """Give a preset by its name, by the path of its file (a text that ends in .toml), or as it is.
+    """A preset by its name or from its file.
 
     Equal files give equal presets, also in their hash, so that nothing compiles twice.
+
+    Args:
+        preset: ``paper``, ``standard``, ``hard`` or ``doubles``; the path of a file, a text that
+            ends in .toml; or a preset, which comes back as it is.
+
+    Returns:
+        The laws that scenarios are drawn from.
 
     Raises:
         ValueError: an unknown name, a file that cannot be read, or a key or value in it that is not allowed.

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -20,11 +21,10 @@ from jaxftc import checks
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant
-from jaxftc.scenarios.distributions import scaled
-from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.distributions import Law, scaled
+from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, kinds
 from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
-from jaxftc.scenarios.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
 from jaxftc.scenarios.uniforms import UniformStream
 from jaxftc.types import Array
@@ -33,10 +33,17 @@ DEG = math.radians(1.0)  # rad
 
 
 def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard", *, config: Config) -> Scenario:
-    """Draw n scenarios with a leading axis, ids 0 to n - 1.
+    """Draw n scenarios from a preset's laws.
 
-    ``preset`` is a name, the path of a preset file, or a ``Preset``. ``paper`` deals the paper's four conditions in turn and
-    draws nothing.
+    Args:
+        key: A random key, such as ``jax.random.key(0)``.
+        n: How many.
+        preset: A name, the path of a preset file, or a ``Preset``. ``paper`` deals the paper's four
+            conditions in turn and draws nothing.
+        config: Robot and timing.
+
+    Returns:
+        Scenarios with a leading axis, ids 0 to n - 1.
 
     Raises:
         ValueError: an unknown preset, a preset file that is not right, n below 1, a key that is none, or a preset that does
@@ -101,9 +108,10 @@ def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scen
     q_start = paper_motion(config)[0] + stream(scaled(preset.motion.start_deg, DEG), (n,))
     q_goal = q_start + stream(scaled(preset.motion.travel_deg, DEG), (n,))
     law = _times(preset.times, stream)
-    torque = _actuator(preset.actuator, config, stream)
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 0.0)
+    torque = _channel(preset.actuator, Actuator, stream, limit)
     beside = preset.sensor if preset.sensor_in_both is None else preset.sensor_in_both
-    angles = _sensor(preset.sensor, stream), _sensor(beside, stream)
+    angles = [_channel(faults, Sensor, stream, limit) for faults in (preset.sensor, beside)]
     angle = jnp.where(condition == 3, angles[1], angles[0])
     choose = functools.partial(stream.joints, preset.joints.at_once, _allowed(preset, config), n)
     tau_joints, q_joints = choose(), choose()
@@ -135,37 +143,22 @@ def _bounds(preset: Preset) -> Array:
     return jnp.where(nothing_after, 1.0, jnp.cumsum(jnp.asarray(shares[:3])))  # a sum can end just below 1
 
 
-def _actuator(channel: ActuatorFaults, config: Config, stream: UniformStream) -> Array:
-    """(kind, magnitude [n]) of an actuator fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
-    kind, side = stream.kind(kinds(channel), Actuator), stream.side()
-    bias, loss, left = (_size(fault, side, stream) for fault in (channel.bias, channel.loss, channel.saturation))
-    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 0.0)
-    unit = limit if channel.bias is not None and channel.bias.unit == "limit" else np.ones(config.n)
-    size = jnp.select(
-        [kind == Actuator.BIAS, kind == Actuator.LOSS, kind == Actuator.SATURATION],
-        [bias * jnp.asarray(unit, float), jnp.full(config.n, loss), jnp.full(config.n, left)],
-        jnp.zeros(config.n),
-    )
-    return jnp.concatenate([kind[None].astype(float), size])
+def _channel(faults: ActuatorFaults | SensorFaults, codes: type[Kind], stream: UniformStream, limit: np.ndarray) -> Array:
+    """(kind, magnitude [n]) of a channel's fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
+    kind, side = stream.kind(kinds(faults), codes), stream.side()
+    sizes = {code: jnp.zeros(len(limit)) for code in codes}
+    for field in dataclasses.fields(faults):  # in the order of draws
+        code = codes[field.name.upper()]
+        if code.unit:
+            sizes[code] = _size(getattr(faults, field.name), side, stream.of_kind(code), limit)
+    return jnp.concatenate([kind[None].astype(float), jnp.select([kind == code for code in sizes], [*sizes.values()])])
 
 
-def _sensor(channel: SensorFaults, stream: UniformStream) -> Array:
-    """(kind, magnitude) of an encoder fault as one array [2]."""
-    kind, side = stream.kind(kinds(channel), Sensor), stream.side()
-    sized = {
-        Sensor.BIAS: channel.bias,
-        Sensor.DRIFT: channel.drift,
-        Sensor.SCALE: channel.scale,
-        Sensor.NOISE: channel.noise,
-    }
-    sizes = [_size(fault, side, stream) for fault in sized.values()]
-    return jnp.stack([kind.astype(float), jnp.select([kind == k for k in sized], sizes, 0.0)])
-
-
-def _size(fault: Sized | None, side: Array, stream: UniformStream) -> Array:
-    """The size of a kind of fault, in rad, rad/s, N m or 1; zero, from a number all the same, if it does not occur."""
-    size = stream(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
-    return side * size if isinstance(fault, Signed) and fault.sign == "random" else size
+def _size(fault: Sized | None, side: Array, numbers: Callable[[Law], Array], limit: np.ndarray) -> Array:
+    """The size [n] of a kind of fault, in rad, rad/s, N m or 1; zero, from a number all the same, if it does not occur."""
+    size = numbers(0.0 if fault is None else scaled(fault.size, UNITS[fault.unit]))
+    size = side * size if isinstance(fault, Signed) and fault.sign == "random" else size
+    return size * jnp.asarray(limit if fault is not None and fault.unit == "limit" else np.ones_like(limit), float)
 
 
 def _times(times: Times, stream: UniformStream) -> dict[str, Array]:

@@ -30,12 +30,22 @@ PAPER_WINDOW = (0.1, 0.25)  # s
 
 
 class Scenario(NamedTuple):
-    """Everything that differs from run to run; ``with_...`` adds a fault (``jaxftc.scenarios.builders``)."""
+    """Everything that differs from run to run; ``with_...`` adds a fault (``jaxftc.scenarios.builders``).
 
-    id: Array  # [...] int32; the noise depends on the key and on this, not on the place in a batch
-    q_start: Array  # [n, ...] rad
-    q_goal: Array  # [n, ...] rad
-    noise: Array  # [...] rad, standard deviation of the encoder
+    Attributes:
+        id: [...] int32; the noise depends on the key and on this, not on the place in a batch.
+        q_start: [n, ...] rad.
+        q_goal: [n, ...] rad.
+        noise: [...] rad, standard deviation of the encoder.
+        fault_tau: Faults of the actuators.
+        fault_q: Faults of the encoders.
+        plant: How the arm differs from its model.
+    """
+
+    id: Array
+    q_start: Array
+    q_goal: Array
+    noise: Array
     fault_tau: Fault
     fault_q: Fault
     plant: Plant
@@ -102,10 +112,20 @@ def _angles(name: str, value: ArrayLike, n: int) -> Array:
 def paper_scenario(
     condition: str, config: Config, *, torque: float = PAPER_TORQUE, angle: float = PAPER_ANGLE, scenario_id: int = 0
 ) -> Scenario:
-    """One of the paper's four conditions; torque N m and angle rad are the sizes of its faults.
+    """One of the paper's four conditions.
 
     The plant is the robot as the config has it: for the paper's arm, without Coulomb friction, give puma560(coulomb=False).
     An arm that does not have six joints moves each by one radian from its zero position instead of the paper's motion.
+
+    Args:
+        condition: ``healthy``, ``actuator``, ``sensor`` or ``both``.
+        config: Robot and timing.
+        torque: N m, size of the actuator fault.
+        angle: rad, size of the encoder fault.
+        scenario_id: Of its noise.
+
+    Returns:
+        One scenario, faults on every joint from 0.1 to 0.3 s.
 
     Raises:
         ValueError: an unknown condition.

@@ -9,15 +9,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.scenarios.distributions import Law, quantile
-from jaxftc.scenarios.faults import Actuator, Sensor
-from jaxftc.scenarios.preset_kinds import Kind
+from jaxftc.scenarios.faults import Actuator, Kind, Sensor, Unsized
 from jaxftc.types import Array
+
+DEALT: dict[type[Kind], Kind] = {Actuator: Actuator.SATURATION, Sensor: Sensor.DROPOUT}
 
 
 class UniformStream:
     """Uniform numbers of one scenario, drawn at once (one random call compiles in a second, forty do not) and dealt out."""
 
     def __init__(self, key: Array, count: int) -> None:
+        self._key = key
         self._left = jax.random.uniform(key, (count,), float)
 
     def number(self, shape: tuple[int, ...] = ()) -> Array:
@@ -30,12 +32,22 @@ class UniformStream:
         """The next numbers of a law, one each."""
         return quantile(law, self.number(shape))
 
-    def kind(self, options: dict[str, Kind], codes: type[Actuator] | type[Sensor]) -> Array:
+    def kind(self, options: dict[str, Unsized], codes: type[Kind]) -> Array:
         """One of some kinds of fault by their weights, int32; NONE without any."""
         weights = [kind.weight for kind in options.values()]
         ends = np.cumsum(weights) * (len(weights) / (sum(weights) or 1.0))  # 1, 2, 3, .. for equal weights, exactly
         index = (len(weights) * self.number() >= ends[:-1]).sum()
-        return jnp.asarray([codes[name.upper()] for name in options] or [codes.NONE], jnp.int32)[index]
+        return jnp.asarray([codes[name.upper()] for name in options] or [codes(0)], jnp.int32)[index]
+
+    def of_kind(self, kind: Kind) -> UniformStream:
+        """The stream that a kind's size is dealt from.
+
+        Kinds up to ``DEALT`` share this one; a later one has its own, so that a preset draws what it drew before there was
+        such a kind.
+        """
+        if kind <= DEALT[type(kind)]:
+            return self
+        return UniformStream(jax.random.fold_in(self._key, 100 * (type(kind) is Sensor) + kind), 1)
 
     def side(self) -> Array:
         """Either -1 or 1."""

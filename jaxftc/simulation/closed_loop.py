@@ -23,24 +23,37 @@ from jaxftc.numerics.batch import trailing
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
-from jaxftc.scenarios.scenario import Scenario
+from jaxftc.scenarios.scenario import Scenario, trail
 from jaxftc.schemes import registry
 from jaxftc.simulation import fault_injection, noise
 from jaxftc.types import Array, Measurement, Output
 
 
 class Trace(NamedTuple):
-    """A simulated run, time first."""
+    """A simulated run, time first. Inside, scenarios are the last axis; ``simulate`` gives a set a leading one.
 
-    t: Array  # [T] s
-    q: Array  # [T, n, ...] rad, true angle
-    qd: Array  # [T, n, ...] rad/s, true speed
-    y: Array  # [T, n, ...] rad, encoder reading
-    q_ref: Array  # [T, n, ...] rad
-    tau_applied: Array  # [T, n, ...] N m, torque that reached the arm
-    fault_tau: Array  # [T, n, ...] N m, true actuator fault, at the motor (the plant's torque_constant comes after it)
-    fault_q: Array  # [T, n, ...] rad, true encoder fault
-    out: Output  # what the controller said, time first
+    Attributes:
+        t: [T] s.
+        q: [T, n, ...] rad, true angle.
+        qd: [T, n, ...] rad/s, true speed.
+        y: [T, n, ...] rad, encoder reading.
+        q_ref: [T, n, ...] rad.
+        tau_applied: [T, n, ...] N m, torque that reached the arm.
+        fault_tau: [T, n, ...] N m, true actuator fault, at the motor (the plant's torque_constant
+            comes after it).
+        fault_q: [T, n, ...] rad, true encoder fault.
+        out: What the controller said, time first.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    y: Array
+    q_ref: Array
+    tau_applied: Array
+    fault_tau: Array
+    fault_q: Array
+    out: Output
 
 
 class Loop(NamedTuple):
@@ -54,22 +67,38 @@ class Loop(NamedTuple):
 
 
 def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
-    """Run one scenario, or several side by side on trailing axes, for ``config.duration``.
+    """Run one scenario, or a set of them side by side, for ``config.duration``.
 
     Compiled with this library's options when called from Python, inlined under a caller's trace.
+
+    Args:
+        config: Robot, structure and timing.
+        gains: One set for all scenarios. For a set of gains, ``jax.vmap`` this function over them.
+        scenario: One, or a set with a leading axis, as ``sample_scenarios`` draws it.
+        key: Of the encoder noise; a scenario's noise depends on it and the scenario's id.
+
+    Returns:
+        Trace of one run, time first; of a set, every leaf with a leading scenario axis.
 
     Raises:
         ValueError: gains or scenario are of a wrong shape, not finite or outside their limits.
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
+    many = jnp.ndim(scenario.id) == 1
+    trace = rollout(config, gains, _trail(scenario) if many else scenario, key)
+    return lead(trace) if many else trace
+
+
+def rollout(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    """``simulate`` without its checks, scenarios on trailing axes; gains may have the same axes behind their own."""
     return _PROGRAMS[program_kind(config.engine, one_arm=jnp.ndim(scenario.id) == 0)](
         stages.general(config), stages.as_data(config), gains, scenario, key
     )
 
 
 def check(config: Config, gains: Gains, scenario: Scenario) -> None:
-    """Refuse what cannot be simulated, before anything compiles.
+    """Refuse what cannot be simulated, before anything compiles: one scenario, or a set with a leading axis.
 
     Raises:
         ValueError: naming the leaf, what came and what is allowed.
@@ -80,16 +109,13 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
     check_gains(config, gains)
     scenario = jax.tree.map(jnp.asarray, scenario)
     axes = scenario.id.shape
-    if scenario.q_start.shape[1:] != axes:
-        raise ValueError(
-            f"scenario.q_start has shape {list(scenario.q_start.shape)}, scenario.id {list(axes)}; "
-            "sampled scenarios have a leading axis, simulate takes one of them or trail(scenarios)"
-        )
+    if len(axes) > 1:
+        raise ValueError(f"scenario must be one, or a set with one leading axis, got ids of shape {list(axes)}")
     for path, leaf in jax.tree_util.tree_leaves_with_path(scenario):
         name = "scenario" + jax.tree_util.keystr(path)
         own = () if name in ("scenario.id", "scenario.noise", "scenario.plant.payload") else (config.n,)
-        if leaf.shape not in (own, own + axes):
-            raise ValueError(f"{name} must have shape {list(own)} or {list(own + axes)}, got {list(leaf.shape)}")
+        if leaf.shape != axes + own:
+            raise ValueError(f"{name} must have shape {list(axes + own)}, got {list(leaf.shape)}; ids are {list(axes)}")
         allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
         if not isinstance(leaf, Tracer) and not allowed(np.asarray(leaf)).all():
             raise ValueError(f"{name} must {rule}, got {np.asarray(leaf).tolist()}")
@@ -191,6 +217,14 @@ def watch(
     return seen, kept
 
 
+@jax.jit
+def lead(trace: Trace) -> Trace:
+    """From one trailing scenario axis to a leading one: [N, T] and [N, T, n]."""
+    count = trace.q.shape[-1]
+    first = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, -1, 0), trace._replace(t=trace.out.detected))
+    return first._replace(t=jnp.broadcast_to(trace.t, (count, *trace.t.shape)))
+
+
 def run_loop(config: Config, on: stages.Stages | None, gains: Gains, scenario: Scenario, key: Array) -> Trace:
     """``simulate`` without its checks, to be traced; ``on`` says which stages of the cascade run."""
     return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick), on)[1]
@@ -207,6 +241,7 @@ def blank_trace() -> Trace:
     return Trace(*[0] * (len(Trace._fields) - 1), out=out)  # pyright: ignore[reportArgumentType]
 
 
+_trail = jax.jit(trail)
 _KINDS: tuple[Kind, ...] = ("batch", "one arm", "mjx")
 _PROGRAMS: dict[Kind, Any] = {kind: jit(run_loop, kind=kind, static_argnums=0) for kind in _KINDS}
 

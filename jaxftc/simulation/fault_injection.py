@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 
 from jaxftc.numerics.barrier import store
-from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.faults import Actuator, Fault, Kind, Reading, Sensor, Torque
 from jaxftc.simulation.fault_profiles import present, size
 from jaxftc.types import Array
 
@@ -27,15 +27,8 @@ def deliver(fault: Fault, state: State, t: Array, tau: Array, limit: Array) -> t
     """Torque [n, ...] N m that reaches the arm for a command tau [n, ...] N m within ``limit`` [n, ...]."""
     there, share = present(fault, t), size(fault, t)
     held = jnp.where(there, state.tau, tau)
-    left = jnp.where(jnp.isfinite(limit), limit, 0.0) * (1 - share * (1 - fault.magnitude))
-    delivered = tau
-    for kind, value in (
-        (Actuator.BIAS, tau + share * fault.magnitude),
-        (Actuator.LOSS, tau * (1 - share * fault.magnitude)),
-        (Actuator.STUCK, held),
-        (Actuator.SATURATION, jnp.where(jnp.isfinite(limit), jnp.clip(tau, -left, left), tau)),
-    ):
-        delivered = jnp.where(there & (fault.kind == kind), value, delivered)
+    torque = Torque(tau, share * fault.magnitude, share, fault.magnitude, held, limit)
+    delivered = _effect(Actuator, fault, there, torque, tau)
     held, delivered = store((held, delivered))
     return state._replace(tau=held), delivered
 
@@ -45,14 +38,14 @@ def read(fault: Fault, state: State, t: Array, q: Array, noise: Array) -> tuple[
     there, share = present(fault, t), size(fault, t)
     clean = q + noise
     held = jnp.where(there, state.y, clean)
-    reading = clean
-    for kind, value in (
-        (Sensor.BIAS, clean + share * fault.magnitude),
-        (Sensor.DRIFT, clean + share * fault.magnitude * (t - fault.onset)),
-        (Sensor.SCALE, clean + share * fault.magnitude * q),
-        (Sensor.FREEZE, held),
-        (Sensor.NOISE, q + noise * (1 + share * (fault.magnitude - 1))),
-    ):
-        reading = jnp.where(there & (fault.kind == kind), value, reading)
-    dropped = there & (fault.kind == Sensor.DROPOUT)
-    return state._replace(y=held), jnp.where(dropped, jnp.nan, reading), reading - clean
+    signal = Reading(q, noise, share * fault.magnitude, share, fault.magnitude, t - fault.onset, held)
+    reading = _effect(Sensor, fault, there, signal, clean)
+    return state._replace(y=held), reading, jnp.where(jnp.isnan(reading), 0.0, reading - clean)
+
+
+def _effect(kinds: type[Kind], fault: Fault, there: Array, signal: Torque | Reading, healthy: Array) -> Array:
+    """The signal with the fault that is there."""
+    for kind in kinds:
+        if kind:
+            healthy = jnp.where(there & (fault.kind == kind), kind.effect(signal), healthy)
+    return healthy
