@@ -89,9 +89,11 @@ class ObserverGains:
     alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator-and-sensor rule, Eq. (9)")
     leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0, doc="l, forgetting of the fuzzy estimate per tick")
     jump: Array = _gain("n", "rad", 1e-3, above=0.0, doc="jump that is surely the encoder's; graded 1/2 at half of it")
-    tau_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of |residual_tau| / alpha_tau")
+    tau_centres: Array = _gain(
+        "2", "1", (0.0, 1.0), doc="sets zero and at threshold of the size of residual_tau over alpha_tau"
+    )
     tau_widths: Array = _gain("2", "1", (0.25, 0.25), above=0.0, doc="their widths")
-    jump_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of |jump| / jump")
+    jump_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of a jump's size over jump")
     jump_widths: Array = _gain("2", "1", (0.15, 0.15), above=0.0, doc="their widths")
 
 

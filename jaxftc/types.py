@@ -80,7 +80,7 @@ class Output(NamedTuple):
         fault_q_hat: [n, ...] rad, estimated encoder fault.
         residual_tau: [n, ...] N m, Eq. (13), torque channel.
         residual_q: [n, ...] rad, Eq. (13), encoder channel.
-        statistic_tau: [n, ...] N m, S of Eq. (14); alarm when |S| reaches threshold_tau.
+        statistic_tau: [n, ...] N m, S of Eq. (14); alarm when its size reaches threshold_tau.
         statistic_q: [n, ...] rad.
         threshold_tau: [n, ...] N m.
         threshold_q: [n, ...] rad.

@@ -223,3 +223,16 @@ for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engin
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))
 """
     assert json.loads(python(program.replace("NAMES", repr(list(OURS))))) == {}
+
+
+@pytest.mark.parametrize("room", ["observer", "diagnosis", "control", "schemes", "fuzzy"])
+def test_no_controller_depends_on_settings_of_the_simulation(room):
+    """What is simulated, for how long and by what, is none of a robot's controller's business."""
+    read = {
+        f"{name}: {node.attr}"
+        for name, path in OURS.items()
+        if within(name, room)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute) and node.attr in {"engine", "t_final", "duration", "ticks"}
+    }
+    assert not read
