@@ -12,7 +12,8 @@ import tyro
 
 from benchmarks.metrics import SECTIONS, Section
 from jaxftc.cli import common
-from jaxftc.io.files import write_parquet, write_text
+from jaxftc.io.files import write_text
+from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ class Bench(common.Options):
         common.prepare(self, many=True, devices=self.suite != "speed")
         from benchmarks import baseline, machine
         from jaxftc import Config, checks
+        from jaxftc.cli import record
 
         self.settings.check()
         checks.integer("--seeds", self.seeds, 1, "5 show the spread")
@@ -73,12 +75,13 @@ class Bench(common.Options):
         if self.gate:
             baseline.load()  # refused now rather than after the run
         config = Config(common.load_arm(self), engine=self.engine)
-        folder = common.make_folder(self, f"bench-{self.suite}")
-        suite = {"speed": self._speed, "tuning": self._tuning, "ranking": self._ranking}[self.suite]
-        result, text, page = suite(config, folder)
-        result = {"machine": machine.describe(), **result}
-        printed = common.write_json(folder / "result.json", result)
-        write_text(folder / "report.html", page)
+        with common.folder(self, f"bench-{self.suite}") as folder:
+            suite = {"speed": self._speed, "tuning": self._tuning, "ranking": self._ranking}[self.suite]
+            ran = record.of(self, config)
+            result, text, page = suite(config, folder, ran)
+            result = {"machine": machine.describe(), **result, "provenance": ran}
+            printed = common.write_json(folder / "result.json", result)
+            write_text(folder / "report.html", page)
         common.say(self, text)
         common.say(self, f"\nWritten to {folder}: result.json, report.html")
         if self.json:
@@ -86,7 +89,7 @@ class Bench(common.Options):
         if self.suite == "speed":
             self._judge(result)
 
-    def _speed(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+    def _speed(self, config: Config, folder: Path, ran: dict[str, Any]) -> tuple[dict[str, Any], str, str]:
         import tempfile
 
         from tqdm import tqdm
@@ -109,7 +112,7 @@ class Bench(common.Options):
                 found = speed.run(Setup(self, sizes, cores(), Path(scratch)), announced())
             except Failed as failure:
                 raise SystemExit(f"jaxftc: {failure}") from failure
-        return speed_page.as_dict(found, sizes, config), speed_page.as_text(found), speed_page.page(found)
+        return speed_page.as_dict(found, sizes, config), speed_page.as_text(found), speed_page.page(found, ran)
 
     def _judge(self, result: dict[str, Any]) -> None:
         """Hold the run against the baseline, or make it the baseline."""
@@ -126,7 +129,7 @@ class Bench(common.Options):
             baseline.save(result)
             common.say(self, f"Written: {baseline.PATH}, {baseline.RESULTS}")
 
-    def _tuning(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+    def _tuning(self, config: Config, folder: Path, ran: dict[str, Any]) -> tuple[dict[str, Any], str, str]:
         import numpy as np
         from tqdm import tqdm
 
@@ -147,9 +150,9 @@ class Bench(common.Options):
         verdicts = curves.verdicts(found)
         result = {"settings": dataclasses.asdict(self.settings), "gradient_cost": cost, "seeds": self.seeds}
         result |= {"methods": verdicts}
-        return result, tuning_text(cost, verdicts), report.curves_page(found, cost)
+        return result, tuning_text(cost, verdicts), report.curves_page(found, cost, ran)
 
-    def _ranking(self, config: Config, folder: Path) -> tuple[dict[str, Any], str, str]:
+    def _ranking(self, config: Config, folder: Path, ran: dict[str, Any]) -> tuple[dict[str, Any], str, str]:
         from tqdm import tqdm
 
         from benchmarks import ranking, report
@@ -158,7 +161,8 @@ class Bench(common.Options):
             pairs, notes = ranking.measure(config, self.seed, self.held_out, self.settings, bar.update)
         rows = [pair._asdict() | {"ratio": pair.ratio._asdict(), "result": pair.word} for pair in pairs]
         settings = dataclasses.asdict(self.settings)
-        return {"settings": settings, "pairs": rows, **notes}, ranking_text(pairs, notes), report.ranking_page(pairs, notes)
+        page = report.ranking_page(pairs, notes, ran)
+        return {"settings": settings, "pairs": rows, **notes}, ranking_text(pairs, notes), page
 
 
 def tuning_text(cost: float, verdicts: dict[str, Any]) -> str:

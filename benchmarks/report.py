@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from benchmarks.ranking import Pair
 
 
-def curves_page(curves: list[Curve], cost: float) -> str:
-    """Held-out objective over simulations and over time, every seed a line."""
+def curves_page(curves: list[Curve], cost: float, ran: dict[str, Any]) -> str:
+    """Held-out objective over simulations and over time, every seed a line; what ran."""
     note = f"A line a seed; a gradient counts as {cost:.1f} simulations, measured; compilation apart."
     return page(
         "jaxftc bench tuning",
@@ -24,6 +24,7 @@ def curves_page(curves: list[Curve], cost: float) -> str:
             embed(_curves(curves, "simulations", "closed-loop simulations", note)),
             embed(_curves(curves, "seconds", "time without compilation, s", note)),
         ],
+        ran=ran,
     )
 
 
@@ -47,8 +48,8 @@ def _curves(curves: list[Curve], axis: str, title: str, note: str) -> go.Figure:
     return figure
 
 
-def ranking_page(pairs: list[Pair], notes: dict[str, Any]) -> str:
-    """Both rankings as a table."""
+def ranking_page(pairs: list[Pair], notes: dict[str, Any], ran: dict[str, Any]) -> str:
+    """Both rankings as a table; what ran."""
     rows = [
         (
             *(p.ranking, p.condition, f"{p.before.upper()} to {p.after.upper()}"),
@@ -61,4 +62,4 @@ def ranking_page(pairs: list[Pair], notes: dict[str, Any]) -> str:
     text = "".join(
         f"<li>{html.escape(name)}: {', '.join(f'{k} {v:.3f}' for k, v in note.items())}</li>" for name, note in notes.items()
     )
-    return page("jaxftc bench ranking", [table(head, rows, text=4), f"<ul>{text}</ul>"])
+    return page("jaxftc bench ranking", [table(head, rows, text=4), f"<ul>{text}</ul>"], ran=ran)

@@ -62,8 +62,8 @@ def as_text(found: Results) -> str:
     return "\n".join(lines)
 
 
-def page(found: Results) -> str:
-    """The same as a page, with curves of how the closed loop scales."""
+def page(found: Results, ran: dict[str, Any]) -> str:
+    """The same as a page, with curves of how the closed loop scales; what ran."""
     figures = [(m.key, m.about, m.unit, found.metrics[m.key]) for m in METRICS if m.key in found.metrics]
     sections = [_html(Table("Figures", ("figure", "what", "unit", "value"), figures))]
     for name, one in found.tables.items():
@@ -72,7 +72,7 @@ def page(found: Results) -> str:
             sections.append(embed(_curve(one, CURVES[name])))
     checks = [(check.what, check.error, check.allowed) for check in found.checks]
     sections.append(_html(Table("Checks of what was timed", ("what", "off by", "allowed"), checks)))
-    return whole("jaxftc bench speed", sections)
+    return whole("jaxftc bench speed", sections, ran=ran)
 
 
 def number(value: float) -> str:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import jax
 
+MOST_TICKS = 10_000_000  # of a simulation, nearly three hours at 1 kHz: times still tell ticks apart, memory may hold it
+
 
 def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
     """Refuse a word that is not on the list, and say which one was probably meant."""
@@ -25,10 +27,18 @@ def one_of(name: str, value: object, allowed: Sequence[str]) -> None:
     raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}{hint}")
 
 
-def integer(name: str, value: object, low: int, why: str) -> None:
-    """Refuse anything but an integer of at least ``low``."""
+def integer(name: str, value: object, low: int, why: str, high: int = 2**31 - 1) -> None:
+    """Refuse anything but an integer of at least ``low`` and at most ``high``: arrays count in 32 bits."""
     if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < low:
         raise ValueError(f"{name} must be an integer of at least {low}, got {value!r}; {why}")
+    if int(value) > high:
+        raise ValueError(f"{name} must be an integer of at most {high}, got {value!r}; {why}")
+
+
+def seed(name: str, value: int) -> None:
+    """Refuse a number that no random key can be made of."""
+    if not 0 <= value < 2**63:
+        raise ValueError(f"{name} must lie in 0 to 2^63 - 1, got {value}")
 
 
 def instance(name: str, value: object, kind: type) -> None:
@@ -57,7 +67,9 @@ def positive(name: str, value: float, unit: str) -> None:
 
 def multiple(name: str, value: float, dt: float) -> int:
     """Return value / dt as an integer, or refuse: times are never rounded silently."""
-    ticks = round(value / dt)
+    ticks = round(min(value / dt, MOST_TICKS + 1))
+    if ticks > MOST_TICKS:
+        raise ValueError(f"{name} must be at most {MOST_TICKS * dt:g} s, {MOST_TICKS} ticks of {dt:g} s, got {value!r} s")
     if ticks < 1 or abs(ticks * dt - value) > 1e-9 * max(1.0, abs(value)):
         raise ValueError(
             f"{name} must be a multiple of dt = {dt:g} s, got {value!r} s; the nearest is {max(ticks, 1) * dt:g} s"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import tomli_w
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, Gains, Spec, build, specs
 from jaxftc.io.files import write_text
+from jaxftc.io.toml import read_toml
 from jaxftc.version import __version__
 
 
@@ -32,10 +32,7 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     Raises:
         ValueError: unreadable file, unknown or missing gain, wrong unit, wrong shape, or gains of another robot or orders.
     """
-    try:
-        table = tomllib.loads(Path(path).read_text())
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"cannot read gains from {path}: {error}") from error
+    table = read_toml(path, "gains")
     strays = [key for key, entries in table.items() if not isinstance(entries, dict)]
     if strays:
         raise ValueError(

@@ -113,7 +113,7 @@ def test_how_much_sooner_the_gradient_is_there(found):
     assert verdicts["finite"]["gradient_needs_times_fewer_median"] is None
     assert verdicts["gradient"]["final_median"] == 1.0 and verdicts["gradient"]["simulations"] == 200.0
     assert curves.reached(found[0], 0.5) == np.inf and curves.reached(found[0], 2.0, "seconds") == 2.0
-    text, page = tuning_text(5.0, verdicts), bench_report.curves_page(found, 5.0)
+    text, page = tuning_text(5.0, verdicts), bench_report.curves_page(found, 5.0, {})
     assert (
         "a gradient counts as 5.0 simulations" in text
         and "2.0, 1.0" in text
@@ -160,7 +160,7 @@ def test_controllers_are_read_off_where_they_chatter_alike():
     made["smc"][0] += 100.0  # cannot be made as calm
     assert all(pair.louder == 1.0 for pair in ranking._tracking(made, np.arange(40) % 4) if pair.before == "smc")
     notes = {"surface": {"lowest": 0.5}}
-    assert "falls" in ranking_text(pairs, notes) and "lowest 0.500" in bench_report.ranking_page(pairs, notes)
+    assert "falls" in ranking_text(pairs, notes) and "lowest 0.500" in bench_report.ranking_page(pairs, notes, {})
 
 
 def test_a_run_that_diverged_has_a_huge_error_not_none():
@@ -363,7 +363,7 @@ def test_a_section_that_forgets_a_figure_is_found(monkeypatch, tmp_path):
 
 
 def test_results_as_text_page_and_json(figures, config):
-    text, page = speed_page.as_text(figures), speed_page.page(figures)
+    text, page = speed_page.as_text(figures), speed_page.page(figures, {})
     assert all(key in text and key in page for key in metrics.TABLE)
     assert "By cores" in text and "500,000" in text and "1 checks" in text and "Checks of what was timed" in page
     rows = json.loads(json.dumps(speed_page.as_dict(figures, sizes.QUICK, config)))

@@ -21,7 +21,7 @@ from jaxftc.campaigns.calibrate import (
     without_faults,
 )
 from jaxftc.identify import from_trace
-from jaxftc.io.files import write_parquet
+from jaxftc.io.tables import write_parquet
 from jaxftc.scenarios.scenario import paper_scenario
 from tests.arms import three_hinges
 

@@ -23,7 +23,9 @@ from jaxftc.campaigns import store
 from jaxftc.cli import common
 from jaxftc.cli.main import main
 from jaxftc.evaluation import comparison, summary
-from jaxftc.io.files import write_parquet
+from jaxftc.io.files import SUFFIX
+from jaxftc.io.folder import MARK
+from jaxftc.io.tables import write_parquet
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.variants import variants
 
@@ -162,7 +164,7 @@ def test_a_replay_reproduces_the_row_to_the_last_bit(folder, run, refused, tmp_p
     result = json.loads(done.stdout)
     assert result["same_as_stored"] is True and result["row"]["scenario_id"] == 123
     assert len(result["joints"]) == 6 and (tmp_path / "trace.parquet").exists()
-    later = json.loads(run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--json").stdout)
+    later = json.loads(run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--force", "--json").stdout)
     assert later["same_as_stored"] is None, "not run yet, but no less defined"
     assert "--observer does nothing with --from" in refused("simulate", "--from", out, "--id", 1, "--observer", "pi")
 
@@ -181,12 +183,12 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     (tmp_path / "chunk-000000.parquet").unlink()
     torn = tmp_path / "chunk-000001.parquet"
     torn.write_bytes(torn.read_bytes()[:-100])
-    (tmp_path / "chunk-000001.parquet.tmp").write_bytes(b"half a file")
+    (tmp_path / f".chunk-000001.parquet.0{SUFFIX}").write_bytes(b"half a file")
     done = run(*command, "-n", 300, program=program)
-    assert "chunk-000001.parquet is torn; its rows are run again" in done.stdout
+    assert "chunk-000001.parquet is not what its checksum says; its rows are run again" in done.stdout
     assert "chunk-000002.parquet is of a shorter campaign; it is run whole" in done.stdout
     assert_same_rows(rows_of(tmp_path), whole)
-    assert not list(tmp_path.glob("*.tmp"))
+    assert not list(tmp_path.glob(f"*{SUFFIX}"))
     kept = {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}
     run(*command, "-n", 120, program=program)
     assert kept == {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}, "fewer scenarios lose no row"
@@ -204,17 +206,10 @@ def test_a_campaign_does_not_go_on_from_gains_that_were_changed(folder, refused,
     assert words in refused("simulate", "--from", changed, "--id", 7)
 
 
-def test_two_campaigns_in_one_folder_are_kept_apart(tmp_path):
-    pytest.importorskip("fcntl")
-    refused = pytest.raises(ValueError, match="another campaign is running in")
-    with store.held(tmp_path), refused, store.held(tmp_path):
-        pass
-    with store.held(tmp_path):
-        pass
-
-
 def test_rows_without_a_manifest_are_nobodys(refused, tmp_path):
     write_parquet(tmp_path / "chunk-000000.parquet", {"scenario_id": np.arange(10)})
+    assert "holds files that are no result of jaxftc's" in refused("campaign", "-n", 10, "--out", tmp_path, *SHORT)
+    (tmp_path / MARK).write_text(json.dumps({"command": "campaign", "request": {}}))
     assert "holds chunks but no manifest.toml" in refused("campaign", "-n", 10, "--out", tmp_path, *SHORT)
 
 
@@ -264,7 +259,7 @@ def test_a_full_disk_is_told_and_leaves_whole_files(tmp_path):
     """Limited file size stands in for a full disk: the write fails half way."""
     program = f"""
 import pathlib, resource, signal, numpy as np
-from jaxftc.io.files import write_parquet
+from jaxftc.io.tables import write_parquet
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 folder = pathlib.Path({str(tmp_path)!r})
 write_parquet(folder / "chunk-000000.parquet", {{"x": np.zeros(10)}})
@@ -282,18 +277,12 @@ except OSError as error:
 
 def test_what_keeps_a_chunk_from_being_used(tmp_path):
     chunk = store.Chunk(tmp_path / "chunk-000002.parquet", 20, 10)
-    assert store.fault_of(chunk) == "absent"
-    for ids, fault in (
-        (np.arange(20, 30), None),
-        (np.arange(20, 40), None),
-        (np.arange(20, 29), "shorter"),
-        (np.arange(21, 31), "not this campaign's"),
-        (np.r_[20, 20, 22:30], "not this campaign's"),
-    ):
-        write_parquet(chunk.path, {"scenario_id": ids})
+    assert store.fault_of(chunk) == store.ABSENT
+    for ids, fault in ((np.arange(20, 30), None), (np.arange(20, 40), None), (np.arange(20, 29), store.SHORTER)):
+        store.write_chunk(chunk, {"scenario_id": ids})
         assert store.fault_of(chunk) == fault
-    chunk.path.write_bytes(b"PAR1" + b"x" * 100)
-    assert store.fault_of(chunk) == "torn"
+    write_parquet(chunk.path, {"scenario_id": np.arange(20, 30)})
+    assert store.fault_of(chunk) == store.DAMAGED, "whose is it?"
 
 
 def test_the_manifest_says_what_the_rows_depend_on(folder):

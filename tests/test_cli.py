@@ -15,6 +15,7 @@ import pytest
 import jaxftc
 from jaxftc.cli import common
 from jaxftc.cli.main import main, parse
+from jaxftc.io.files import SUFFIX
 
 QUICK = ["--engine", "chain", "--no-compilation-cache", "--duration", "0.3"]
 
@@ -53,7 +54,7 @@ def test_figures_open_offline(simulated):
     folder, _ = simulated
     page = (folder / "runs" / "simulate-1" / "figures.html").read_text()
     assert "<script src=" not in page and "torque residual, N m" in page
-    assert not list((folder / "runs").rglob("*.tmp"))
+    assert not list((folder / "runs").rglob(f"*{SUFFIX}"))
 
 
 @pytest.mark.parametrize(
@@ -147,16 +148,11 @@ def test_a_robot_file_needs_no_word_about_friction(tmp_path, monkeypatch):
 
 def test_run_folders_are_numbered(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    options = parse(["simulate"])
-    assert [common.make_folder(options, "simulate").name for _ in range(3)] == ["simulate-1", "simulate-2", "simulate-3"]
-
-
-def test_a_folder_is_one_commands_alone(tmp_path):
-    """What another command left there must not be lost."""
-    options = common.Options(out=tmp_path / "new" / "run")
-    assert common.make_folder(options, "campaign") == common.make_folder(options, "campaign") == options.out
-    with pytest.raises(ValueError, match="holds what jaxftc campaign made; give another folder with --out"):
-        common.make_folder(options, "calibrate")
+    names = []
+    for _ in range(3):
+        with common.folder(parse(["simulate"]), "simulate") as folder:
+            names.append(folder.name)
+    assert names == ["simulate-1", "simulate-2", "simulate-3"]
 
 
 @pytest.mark.slow
@@ -176,7 +172,7 @@ def test_demo_from_end_to_end(tmp_path):
 def test_a_command_whose_package_is_missing_says_so(monkeypatch, capsys):
     """The wheel has no benchmarks, but their entry point."""
     entry = EntryPoint("bench", "no_such_package.cli:Bench", "jaxftc.commands")
-    monkeypatch.setattr("jaxftc.cli.main.entry_points", lambda group: [entry])
+    monkeypatch.setattr("jaxftc.cli.main.installed", lambda: [entry])
     with pytest.raises(SystemExit) as stop:
         main(["bench", "tuning"])
     assert stop.value.code == 2

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxftc.gains_file import header
-from jaxftc.io.files import aside
+from jaxftc.io.files import read_sealed, write_sealed
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.version import __version__
 from tuning.descent import behaviour
@@ -51,25 +52,26 @@ def identity(
 
 
 def write(path: Path, identity: dict[str, Any], arrays: dict[str, Any]) -> None:
-    """Write the state aside, then rename it."""
-    with aside(path) as temporary, temporary.open("wb") as file:
-        np.savez(file, identity=np.array(json.dumps(identity)), **arrays)
+    """Write the state and its checksum, whole or not at all."""
+    data = io.BytesIO()
+    np.savez(data, identity=np.array(json.dumps(identity)), **arrays)
+    write_sealed(path, data.getvalue())
 
 
 def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
     """The state, or None where there is none.
 
     Raises:
-        ValueError: the file is not a checkpoint, or of a run with other settings.
+        ValueError: the file is not a checkpoint as it was written, or of a run with other settings.
     """
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as file:
             arrays = dict(file)
         found = json.loads(str(arrays.pop("identity")))
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ValueError(f"{path} is no checkpoint of a tuning run ({error}); give another folder") from error
+        raise ValueError(f"{path} is no checkpoint of a tuning run ({error}); remove it to begin anew") from error
     other = [name for name in identity if found.get(name) != identity[name]]
     if other:
         changes = [

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from jaxftc.cli import common
-from jaxftc.io.files import write_parquet, write_text
+from jaxftc.io.files import write_text
+from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
 
 if TYPE_CHECKING:
@@ -71,7 +72,8 @@ class Tune(common.Options):
         import jax
 
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
-        from tuning import report, terms, transform
+        from jaxftc.cli import record
+        from tuning import checkpoint, report, terms, transform
         from tuning.held_out import compare
         from tuning.loop import fit
 
@@ -79,7 +81,10 @@ class Tune(common.Options):
         objective = terms.weighted(terms.OBJECTIVE, numbers("--weight", self.weight))
         limits = numbers("--limit", self.limit)
         terms.check_terms("limit", objective, limits)
-        checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
+        checks.integer(
+            "--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on", 1_000_000
+        )
+        checks.seed("--held-out-seed", self.held_out_seed or 0)
         config = Config(
             common.load_arm(self),
             engine=self.engine,
@@ -95,34 +100,38 @@ class Tune(common.Options):
         count = self.settings.steps * self.settings.batch
         training = sample_scenarios(train, count, preset, config=config)
         validation = sample_scenarios(validate, self.settings.validation, preset, config=config)
-        folder = common.make_folder(self, "tune")
-        if self.out is None:
-            common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
-        with Bar(config) as bar:
-            result = fit(
-                config,
-                start,
-                training,
-                validation=validation,
-                key=noise,
-                objective=objective,
-                limits=limits,
-                only=free,
-                shared=self.shared,
-                settings=self.settings,
-                folder=folder,
-                on_round=bar.show,
-            )
-        save_gains(folder / "gains.toml", result.gains, config)
-        write_parquet(folder / "history.parquet", result.history)
         seed = secrets.randbits(31) if self.held_out_seed is None else self.held_out_seed
-        unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
-        comparisons = compare(
-            config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
-        )
-        record = as_json(result, comparisons, folder) | {"held_out_seed": seed}
-        text = common.write_json(folder / "result.json", record)
-        write_text(folder / "report.html", report.page_of(config, start, result, comparisons))
+        with common.folder(self, "tune", goes_on=True) as folder:
+            if self.force:
+                (folder / checkpoint.NAME).unlink(missing_ok=True)
+            if self.out is None:
+                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
+            with Bar(config) as bar:
+                result = fit(
+                    config,
+                    start,
+                    training,
+                    validation=validation,
+                    key=noise,
+                    objective=objective,
+                    limits=limits,
+                    only=free,
+                    shared=self.shared,
+                    settings=self.settings,
+                    folder=folder,
+                    on_round=bar.show,
+                )
+            save_gains(folder / "gains.toml", result.gains, config)
+            write_parquet(folder / "history.parquet", result.history)
+            unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
+            comparisons = compare(
+                config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
+            )
+            same_seed = () if self.held_out_seed is not None else ("--held-out-seed", str(seed))
+            ran = record.of(self, config, more=same_seed)
+            told = as_json(result, comparisons, folder) | {"held_out_seed": seed, "provenance": ran}
+            text = common.write_json(folder / "result.json", told)
+            write_text(folder / "report.html", report.page_of(config, start, result, comparisons, ran))
         common.say(self, summary(result, comparisons, seed))
         common.say(self, "\n".join(["", "gains, before -> after", *(report.moved(start, result.gains) or ["none moved"])]))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
@@ -234,6 +243,6 @@ def summary(result: Result, comparisons: list[Comparison], seed: int) -> str:
         if any(c.diverged):
             lines.append(f"  DIVERGED: {c.diverged[0]} -> {c.diverged[1]} runs, which count {LOST:g} in every term")
         for term, b, a, weight in zip(c.names, c.before.mean(1), c.after.mean(1), c.weights, strict=True):
-            note = "  WORSE by more than 10 %" if a > 1.1 * b + 1e-9 else ""
+            note = "  WORSE" if c.word(term) == "worse" else ""
             lines.append(f"  {term:12} {b:8.4f} -> {a:8.4f}   weight {weight:g}{note}")
     return "\n".join(lines)

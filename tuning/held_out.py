@@ -19,6 +19,7 @@ from jaxftc.types import Array
 from tuning.problem import LOST, Problem
 from tuning.terms import OBJECTIVE, Term
 
+FELT = 1e-3  # share of the objective below which a change of one term is none
 PRESETS = ("standard", "hard")
 
 
@@ -63,6 +64,20 @@ class Comparison(NamedTuple):
         if not pairs.any():
             return Interval(1.0, 1.0, 1.0)
         return bootstrap(pairs, lambda x: x[1].mean(-1) / np.maximum(x[0].mean(-1), 1e-12))
+
+    def word(self, name: str) -> str:
+        """Whether a term, or the objective, got better, worse or stayed the same.
+
+        By the 95 % interval of its ratio, and if the objective feels it: by more than ``FELT`` of what it was.
+        """
+        if name == "objective":
+            ratio, change = self.ratio, np.subtract(*self.objective[::-1])
+        else:
+            k = self.names.index(name)
+            ratio, change = self.term_ratio(name), self.weights[k] * (self.after[k].mean() - self.before[k].mean())
+        if (ratio.low <= 1 and ratio.high >= 1) or abs(change) <= FELT * self.objective[0]:
+            return "same"
+        return "worse" if change > 0 else "better"
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

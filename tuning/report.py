@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -30,8 +30,8 @@ MANY = 8  # values of a gain that are not all printed
 LEAST, MOST = 0.01, 100.0  # smallest and largest ratio drawn
 
 
-def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comparison]) -> str:
-    """The whole page; the worst scenarios are simulated again for it."""
+def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comparison], ran: Mapping[str, Any]) -> str:
+    """The whole page, and what ran; the worst scenarios are simulated again for it."""
     sections = [
         "<h2>Held out</h2>",
         embed(held_out_figure(comparisons)),
@@ -47,7 +47,7 @@ def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comp
             embed(surface_figure(config, {"before": start, "after": result.gains}, SURFACE)),
         ]
     sections += ["<h2>The worst scenarios after tuning</h2>", *worst_figures(config, start, result.gains, comparisons[0])]
-    return page("jaxftc tune", sections, config.robot.joint_names)
+    return page("jaxftc tune", sections, config.robot.joint_names, ran)
 
 
 def held_out_figure(comparisons: list[Comparison]) -> go.Figure:
@@ -84,8 +84,9 @@ def _name(c: Comparison) -> str:
 
 
 def _table(c: Comparison) -> str:
+    look = {"worse": "no", "better": "yes", "same": ""}
     cells = [
-        (name, f"{b:.4f}", f"{a:.4f}", (f"{r.value:.3f} [{r.low:.3f}, {r.high:.3f}]", "no" if a > 1.1 * b else "yes"))
+        (name, f"{b:.4f}", f"{a:.4f}", (f"{r.value:.3f} [{r.low:.3f}, {r.high:.3f}]", look[c.word(name)]))
         for name, b, a, r in _ratios(c)
     ]
     lost = f"<p class='no'>diverged: {c.diverged[0]} to {c.diverged[1]} runs</p>" if any(c.diverged) else ""

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     Optimizer = Literal["adam", "lion", "sgd"] | Any  # also a GradientTransformation, which has no word on the command line
 else:
     Optimizer = Literal["adam", "lion", "sgd"]
+MOST = 10_000_000
 ROUND = 5  # gradient steps between two validations, at most
 
 
@@ -63,7 +64,12 @@ class Settings:
         checks.one_of("mode", self.mode, ("reverse", "forward"))
         checks.integer("steps", self.steps, 1, "100 suit the default gains")
         checks.integer("batch", self.batch, 1, "64 suit two cores")
-        checks.integer("validation", self.validation, 1, "128 tell steps apart")
+        if self.steps * self.batch > MOST:
+            raise ValueError(
+                f"steps x batch must be at most {MOST} training scenarios, which are drawn at once, got {self.steps} x "
+                f"{self.batch}; 100 x 64 suit the default gains"
+            )
+        checks.integer("validation", self.validation, 1, "128 tell steps apart", 1_000_000)
         checks.positive("patience", self.patience, "the steps")
         if self.patience > 1:
             raise ValueError(f"patience must be a share of the steps, at most 1, got {self.patience!r}; 1 never stops early")

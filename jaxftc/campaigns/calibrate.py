@@ -215,3 +215,12 @@ def thresholds(config: Config, peaks: Peaks, false_alarms: float, confidence: fl
 def with_thresholds(gains: Gains, alpha_tau: Any, alpha_q: Any) -> Gains:
     """Gains with other thresholds, N m and rad."""
     return gains.replace({"diagnosis.alpha_tau": alpha_tau, "diagnosis.alpha_q": alpha_q})
+
+
+def by_joint(config: Config, gains: Gains) -> dict[str, dict[str, float]]:
+    """Thresholds by joint's name."""
+    values = {
+        "alpha_tau_nm": np.asarray(gains.diagnosis.alpha_tau, float),
+        "alpha_q_deg": np.rad2deg(np.asarray(gains.diagnosis.alpha_q, float)),
+    }
+    return {key: dict(zip(config.robot.joint_names, value.tolist(), strict=True)) for key, value in values.items()}

@@ -41,6 +41,7 @@ class Job(NamedTuple):
     gains: Gains
     preset: Preset
     seed: int
+    scheme: str = "cascade"  # its name in the table of variants
 
     @property
     def keys(self) -> tuple[Array, Array]:
@@ -85,12 +86,12 @@ def complete(
             kept += chunk.rows
             done(chunk.rows)
             continue
-        if fault == "shorter":
+        if fault == store.SHORTER:
             note(f"{chunk.path.name} is of a shorter campaign; it is run whole")
-        elif fault != "absent":
+        elif fault != store.ABSENT:
             note(f"{chunk.path.name} is {fault}; its rows are run again")
         rows = campaign(job.config, job.gains, draw(job.preset, job.config, draws, chunk.ids), noise, tell)
-        store.write_chunk(chunk, rows)
+        store.write_chunk(chunk, _named(job, rows))
     ran = sum(count for _, count in marks)
     rate = None
     if len(marks) > 1:
@@ -113,14 +114,14 @@ def begin(
     Raises:
         ValueError: the folder holds another campaign, or the thresholds cannot be set.
     """
-    made_with = {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
+    made_with = versions()
     if (folder / store.MANIFEST).exists():
         store.agree(folder, request)
         store.unaltered(folder)
         manifest = store.read_manifest(folder)
         if manifest["made_with"] != made_with:
-            versions = [" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with)]
-            note(f"{folder} was begun with {versions[0]}, here {versions[1]}: new rows may differ in their last digits")
+            begun, here = (" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with))
+            note(f"{folder} was begun with {begun}, here {here}: new rows may differ in their last digits")
         return job._replace(gains=load_gains(folder / store.GAINS, job.config)), manifest
     store.empty(folder)
     manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
@@ -168,7 +169,19 @@ def again(job: Job, scenario_id: int) -> tuple[dict[str, np.ndarray], Trace]:
     """Row and trace [T, n] of one scenario, bit for bit as in the campaign."""
     draws, noise = job.keys
     scenario = jax.tree.map(lambda leaf: leaf[0], draw(job.preset, job.config, draws, np.array([scenario_id], np.int32)))
-    return replay(job.config, job.gains, scenario, noise)
+    row, trace = replay(job.config, job.gains, scenario, noise)
+    return _named(job, row), trace
+
+
+def _named(job: Job, rows: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Rows that say whose they are, so that those of several campaigns can be read together."""
+    count = len(rows["scenario_id"])
+    return {"scheme": np.full(count, job.scheme), "seed": np.full(count, job.seed, np.int64)} | rows
+
+
+def versions() -> dict[str, str]:
+    """Of what a result's last digits depend on."""
+    return {"jaxftc": __version__, "jax": jax.__version__, "mujoco": mujoco.__version__}
 
 
 def describe(config: Config) -> dict[str, Any]:
@@ -196,9 +209,8 @@ def load(folder: Path, base: Config) -> Job:
     ]
     if other:
         raise ValueError(f"{folder} was run with another {'; another '.join(other)}")
-    return Job(
-        config, load_gains(folder / store.GAINS, config), load_preset(folder / store.PRESET), manifest["request"]["seed"]
-    )
+    gains, preset = load_gains(folder / store.GAINS, config), load_preset(folder / store.PRESET)
+    return Job(config, gains, preset, manifest["request"]["seed"], manifest["request"]["scheme"])
 
 
 def worst(job: Job, rows: Mapping[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:

@@ -1,17 +1,15 @@
 """A campaign's folder: ``manifest.toml``, ``gains.toml``, ``preset.toml`` and rows in ``chunk-000123.parquet``.
 
-Every file is written aside and renamed, the manifest after what it names, so that a campaign that was killed at any moment
-goes on with the same command: chunks that are whole are kept, the others are run. A chunk holds the rows of its ids whatever
-the campaign's length, so a longer campaign goes on from a shorter one.
+Every file is written beside its place and renamed, the manifest after what it names, so that a campaign that was killed at
+any moment goes on with the same command: chunks that are whole are kept, the others are run. ``SHA256SUMS`` tells which are:
+a file that was changed since, by anyone or anything, is not used. A chunk holds the rows of its ids whatever the campaign's
+length, so a longer campaign goes on from a shorter one.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import hashlib
-import os
-import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,11 +17,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from jaxftc.io.files import write_parquet, write_text
+from jaxftc.io import checksums, tables
+from jaxftc.io.files import write_text
+from jaxftc.io.folder import differences
+from jaxftc.io.toml import read_toml
 
 MANIFEST, GAINS, PRESET, SUMMARY, REPORT = "manifest.toml", "gains.toml", "preset.toml", "summary.json", "report.html"
+ABSENT, SHORTER, DAMAGED = "absent", "shorter", "not what its checksum says"  # what a chunk can be
 KEPT = 4  # columns of a campaign in memory
-_ROWS = "from read_parquet($files) where scenario_id < $n"  # files in the order of the ids: sorting would hold copies
+_ROWS = f"from {tables.PARQUET} where scenario_id < $n"  # files in the order of the ids: sorting would hold copies
 
 
 class Chunk(NamedTuple):
@@ -48,23 +50,23 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """What the folder's campaign is.
 
     Raises:
-        ValueError: there is none, or it cannot be read.
+        ValueError: there is none, or it is not the one that was written.
     """
-    try:
-        return tomllib.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    path = folder / MANIFEST
+    if not path.is_file():
         inside = sorted(str(path.parent) for path in folder.glob(f"*/{MANIFEST}"))
         if inside:
-            raise ValueError(f"{folder} holds a comparison; name one of its schemes: {', '.join(inside)}") from error
-        raise ValueError(
-            f"{folder} holds no campaign that can be read: {error}; give the --out of jaxftc campaign"
-        ) from error
+            raise ValueError(f"{folder} holds a comparison; name one of its schemes: {', '.join(inside)}")
+        raise ValueError(f"{folder} holds no campaign; give the --out of jaxftc campaign")
+    _as_written(path)
+    return read_toml(path, "campaign")
 
 
 def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
-    """Written last, with the fingerprints of the files that rows depend on."""
-    files = {name: fingerprint((folder / name).read_text(encoding="utf-8")) for name in (GAINS, PRESET)}
-    write_text(folder / MANIFEST, tomli_w.dumps(manifest | {"files": files}))
+    """Written last, after the checksums of what rows depend on."""
+    text = tomli_w.dumps(manifest)
+    checksums.record(folder, {GAINS: None, PRESET: None, MANIFEST: text})
+    write_text(folder / MANIFEST, text)
 
 
 def unaltered(folder: Path) -> None:
@@ -73,61 +75,30 @@ def unaltered(folder: Path) -> None:
     Raises:
         ValueError: naming the first one.
     """
-    for name, mark in read_manifest(folder).get("files", {}).items():
-        path = folder / name
-        if not path.exists() or fingerprint(path.read_text(encoding="utf-8")) != mark:
-            raise ValueError(
-                f"{path} is not the file that this campaign began with; put it back, or begin anew with another --out"
-            )
+    for name in (GAINS, PRESET):
+        _as_written(folder / name)
+
+
+def _as_written(path: Path) -> None:
+    if not checksums.agrees(path):
+        raise ValueError(
+            f"{path} is not the file that this campaign began with, by its checksum in {checksums.NAME}; put it back, or "
+            "begin anew with another --out"
+        )
 
 
 def agree(folder: Path, request: dict[str, Any]) -> None:
     """Refuse to go on with another campaign than the folder's.
 
-    A value that is a list is a file: its name, for people, and the fingerprint of its content, which counts.
-
     Raises:
         ValueError: naming what differs, what the folder has and what was asked for.
     """
-    had = read_manifest(folder).get("request", {})
-
-    def counts(value: Any) -> Any:
-        return value[-1] if isinstance(value, list) else value
-
-    def shown(value: Any) -> str:
-        return "unset" if value is None else " of content ".join(value) if isinstance(value, list) else repr(value)
-
-    other = [
-        f"--{key.replace('_', '-')} {shown(had.get(key))}, asked for {shown(request.get(key))}"
-        for key in sorted({*had, *request})
-        if counts(had.get(key)) != counts(request.get(key))
-    ]
+    other = differences(read_manifest(folder)["request"], request)
     if other:
         raise ValueError(
-            f"{folder} holds another campaign: {'; '.join(other)}; give the options it was started with, or another --out"
+            f"{folder} holds another campaign: {'; '.join(other)}; give the options it was started with, another --out, "
+            "or --force"
         )
-
-
-@contextlib.contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """The folder for this process alone; the system lets go of it when the process ends, however it ends.
-
-    Raises:
-        ValueError: another process runs a campaign in it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # a system without it: nothing keeps two campaigns apart
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError as error:
-        raise ValueError(f"another campaign is running in {folder}; wait for it, or give another --out") from error
-    finally:
-        os.close(handle)
 
 
 def empty(folder: Path) -> None:
@@ -137,7 +108,13 @@ def empty(folder: Path) -> None:
         ValueError: there are chunks, but no manifest.
     """
     if any(folder.glob("chunk-*.parquet")):
-        raise ValueError(f"{folder} holds chunks but no {MANIFEST} that says what they are; give another --out")
+        raise ValueError(f"{folder} holds chunks but no {MANIFEST} that says what they are; give another --out, or --force")
+
+
+def clear(folder: Path) -> None:
+    """Remove a campaign from a folder, its manifest first."""
+    for path in (folder / MANIFEST, folder / checksums.NAME, *folder.glob("chunk-*.parquet")):
+        path.unlink(missing_ok=True)
 
 
 def chunks(folder: Path, n: int, size: int) -> Iterator[Chunk]:
@@ -147,47 +124,42 @@ def chunks(folder: Path, n: int, size: int) -> Iterator[Chunk]:
 
 
 def fault_of(chunk: Chunk) -> str | None:
-    """What keeps a chunk's file from being used, None if nothing does; ``absent`` if it is not there.
+    """What keeps a chunk's file from being used, None if nothing does.
 
     A file with more rows than asked for is the chunk of a longer campaign and serves this one.
     """
-    import duckdb
-
     if not chunk.path.exists():
-        return "absent"
-    query = "select count(*), count(distinct scenario_id), min(scenario_id), max(scenario_id) from read_parquet($path)"
-    try:
-        with duckdb.connect() as connection:
-            found = connection.execute(query, {"path": str(chunk.path)}).fetchone()
-    except duckdb.Error:
-        return "torn"
-    rows, different, first, last = found or (0, 0, None, None)
-    if first != chunk.first or different != rows or last != chunk.first + rows - 1:
-        return "not this campaign's"
-    return None if rows >= chunk.rows else "shorter"
+        return ABSENT
+    if not checksums.agrees(chunk.path):
+        return DAMAGED
+    with tables.connect() as connection:
+        query = f"select count(*) from {tables.PARQUET}"
+        ((rows,),) = connection.execute(query, {"files": tables.names([chunk.path])}).fetchall()
+    return None if rows >= chunk.rows else SHORTER
 
 
 def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> None:
-    """Whole or not at all.
+    """Whole or not at all, then its checksum.
 
     Raises:
         OSError: the disk is full, or the folder cannot be written.
     """
-    write_parquet(chunk.path, rows)
+    tables.write_parquet(chunk.path, rows)
+    checksums.record(chunk.path.parent, {chunk.path.name: None})
 
 
-def read_rows(folder: Path, n: int, where: str = "true") -> dict[str, np.ndarray]:
-    """All columns of the first n scenarios that are there, in the order of their ids; nothing if there are none.
-
-    ``where`` is a condition in SQL.
+def read_rows(folder: Path, n: int, first: int = 0) -> dict[str, np.ndarray]:
+    """All columns of the scenarios from ``first`` to n - 1 that are there, by their ids; nothing if there are none.
 
     In the files a figure that does not apply is null; here it is not a number.
-    """
-    import duckdb
 
-    files = _files(folder, n)
-    with duckdb.connect() as connection:
-        return _query(connection, f"select * {_ROWS} and ({where})", {"files": files, "n": n}) if files else {}
+    Raises:
+        ValueError: a file of them is not what its checksum says.
+    """
+    files = _files(folder, n, first)
+    with tables.connect() as connection:
+        query = f"select * {_ROWS} and scenario_id >= $first"
+        return _query(connection, query, {"files": files, "n": n, "first": first}) if files else {}
 
 
 class Columns(Mapping[str, np.ndarray]):
@@ -200,12 +172,10 @@ class Columns(Mapping[str, np.ndarray]):
     """
 
     def __init__(self, folder: Path, n: int) -> None:
-        import duckdb
-
-        self._rows, self._connection = {"files": _files(folder, n), "n": n}, duckdb.connect()
+        self._rows, self._connection = {"files": _files(folder, n), "n": n}, tables.connect()
         if not self._rows["files"]:
             raise ValueError(f"{folder} holds no rows; run jaxftc campaign with --out {folder}")
-        described = _query(self._connection, "describe select * from read_parquet($files)", {"files": self._rows["files"]})
+        described = _query(self._connection, f"describe select * from {tables.PARQUET}", {"files": self._rows["files"]})
         self._types = dict(zip(described["column_name"], described["column_type"], strict=True))
         self._read = functools.lru_cache(maxsize=KEPT)(self._fresh)
 
@@ -226,9 +196,17 @@ class Columns(Mapping[str, np.ndarray]):
         return len(self._types)
 
 
-def _files(folder: Path, n: int) -> list[str]:
-    """Files that hold rows of the first n scenarios, in the order of their ids."""
-    return [str(c.path) for c in chunks(folder, n, read_manifest(folder)["chunk"]) if fault_of(c) in (None, "shorter")]
+def _files(folder: Path, n: int, first: int = 0) -> list[str]:
+    """Files that hold rows of the scenarios from ``first`` to n - 1, in the order of their ids."""
+    found = []
+    for chunk in chunks(folder, n, read_manifest(folder)["chunk"]):
+        if chunk.first + chunk.rows <= first:
+            continue
+        fault = fault_of(chunk)
+        if fault == DAMAGED:
+            raise ValueError(f"{chunk.path} is {DAMAGED}; the command that made the campaign runs its rows again")
+        found += [] if fault == ABSENT else [chunk.path]
+    return tables.names(found)
 
 
 def _query(connection: Any, query: str, parameters: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -41,39 +41,39 @@ class Calibrate(Laws):
         """Set, check, write."""
         from jaxftc import checks
 
-        checks.integer("--runs", self.runs, 2, "half of them set the thresholds, half check them")
+        checks.integer("--runs", self.runs, 2, "half of them set the thresholds, half check them", high=1_000_000)
         common.prepare(self, many=True)
         from tqdm import tqdm
 
         from jaxftc import save_gains
-        from jaxftc.campaigns.calibrate import calibrate_on_logs
+        from jaxftc.campaigns.calibrate import by_joint, calibrate_on_logs
         from jaxftc.campaigns.spec import as_record, set_thresholds, variant
+        from jaxftc.cli import record
         from jaxftc.logs import read
         from jaxftc.schemes.registry import scheme
 
-        config = variant(self.base(), self.scheme)
-        if not scheme(config).DIAGNOSES:
+        if not scheme(variant(self.base(), self.scheme)).DIAGNOSES:
             raise ValueError(
                 f"scheme {self.scheme!r} has no diagnosis, so there is no threshold to set; give another --scheme"
             )
-        job = self.job(config)
+        job = self.job(self.scheme)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
-        folder = common.make_folder(self, "calibrate")
-        if self.logs:
-            found = calibrate_on_logs(
-                job.config,
-                job.gains,
-                [read(path, job.config) for path in self.logs],
-                false_alarms=self.false_alarms,
-                confidence=self.confidence,
-            )
-        else:
-            with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
-                found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
-        save_gains(folder / "gains.toml", found.gains, job.config)
-        record = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
-        text = common.write_json(folder / "result.json", record)
+        with common.folder(self, "calibrate") as folder:
+            if self.logs:
+                found = calibrate_on_logs(
+                    job.config,
+                    job.gains,
+                    [read(path, job.config) for path in self.logs],
+                    false_alarms=self.false_alarms,
+                    confidence=self.confidence,
+                )
+            else:
+                with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
+                    found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
+            save_gains(folder / "gains.toml", found.gains, job.config)
+            result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
+            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
         common.say(self, table(job.config, job.gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:
@@ -89,20 +89,10 @@ def with_lead(config: Config, gains: Gains, lead: float) -> Gains:
     return gains
 
 
-def by_joint(config: Config, gains: Gains) -> dict[str, dict[str, float]]:
-    """Thresholds by joint's name."""
-    import numpy as np
-
-    values = (np.asarray(gains.diagnosis.alpha_tau), np.rad2deg(np.asarray(gains.diagnosis.alpha_q)))
-    names = config.robot.joint_names
-    return {
-        key: {name: float(x) for name, x in zip(names, value, strict=True)}
-        for key, value in zip(("alpha_tau_nm", "alpha_q_deg"), values, strict=True)
-    }
-
-
 def table(config: Config, before: Gains, found: Calibration) -> str:
     """Thresholds before and after, and what they reach."""
+    from jaxftc.campaigns.calibrate import by_joint
+
     was, now = by_joint(config, before), by_joint(config, found.gains)
     lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:

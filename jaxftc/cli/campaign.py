@@ -44,14 +44,15 @@ class Laws(common.Options):
 
         return Config(common.load_arm(self), engine=self.engine, duration=self.duration)
 
-    def job(self, config: Config) -> Job:
-        """Everything that a row depends on, with the gains that were asked for."""
-        from jaxftc.campaigns.spec import Job
+    def job(self, scheme: str) -> Job:
+        """Everything that a row of a scheme depends on, with the gains that were asked for."""
+        from jaxftc.campaigns.spec import Job, variant
         from jaxftc.scenarios.distributions import extent
         from jaxftc.scenarios.preset_file import load_preset
         from jaxftc.scenarios.sample import check_arm
 
         common.key(self)  # the seed's range
+        config = variant(self.base(), scheme)
         preset = load_preset(self.preset)
         check_arm(preset, config, self.preset)
         duration, onset = config.ticks * config.dt, extent(preset.times.onset_s)[0]
@@ -60,7 +61,7 @@ class Laws(common.Options):
                 f"no fault of preset {self.preset!r} begins within {duration:g} s; the first onset is at {onset:g} s, "
                 "so give a longer --duration"
             )
-        return Job(config, common.load_or_default(self, config), preset, self.seed)
+        return Job(config, common.load_or_default(self, config), preset, self.seed, scheme)
 
 
 @dataclasses.dataclass
@@ -95,35 +96,39 @@ class Campaign(Laws):
 
         from jaxftc.campaigns import store
         from jaxftc.campaigns.calibrate import allowed
-        from jaxftc.campaigns.spec import HEALTHY, variant
+        from jaxftc.campaigns.spec import HEALTHY
+        from jaxftc.cli import record
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        jobs = {name: self.job(variant(self.base(), name)) for name in names}
+        jobs = {name: self.job(name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
-        folder = common.make_folder(self, "campaign")
-        if self.out is None:
-            common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
-        folders = {name: folder / name if self.compare else folder for name in names}
-        requests = {name: self._request(job, name, share) for name, job in jobs.items()}
-        found: dict[str, dict[str, Any]] = {}
-        with store.held(folder):
+        with common.folder(self, "campaign", goes_on=True) as folder:
+            if self.out is None:
+                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
+            folders = {name: folder / name if self.compare else folder for name in names}
+            requests = {name: self._request(job, name, share) for name, job in jobs.items()}
+            if self.force:
+                for own in (folder, *(path.parent for path in folder.glob(f"*/{store.MANIFEST}"))):
+                    store.clear(own)
             self._check(folder, folders, requests)
+            found: dict[str, dict[str, Any]] = {}
             for name, job in jobs.items():
                 folders[name].mkdir(exist_ok=True)
                 found[name] = self._one(folders[name], job, requests[name], share)
-        common.say(self, comparison.as_text(found))
-        if self.compare:
-            rows = {name: store.Columns(folders[name], self.n) for name in names}
-            pairs = comparison.against(rows)
-            common.say(self, comparison.pairs_as_text(pairs))
-            text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs})
-            write_text(folder / store.REPORT, campaign.comparison(found, pairs))
-        else:
-            common.say(self, comparison.kinds_as_text(found[names[0]]))
-            text = json.dumps(found[names[0]], indent=2, allow_nan=False)
+            common.say(self, comparison.as_text(found))
+            if self.compare:
+                rows = {name: store.Columns(folders[name], self.n) for name in names}
+                pairs = comparison.against(rows)
+                common.say(self, comparison.pairs_as_text(pairs))
+                ran = record.of(self, self.base())
+                text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs, "provenance": ran})
+                write_text(folder / store.REPORT, campaign.comparison(found, pairs, ran))
+            else:
+                common.say(self, comparison.kinds_as_text(found[names[0]]))
+                text = json.dumps(found[names[0]], indent=2, allow_nan=False)
         rows_at = "a folder for each scheme" if self.compare else "rows (chunk-*.parquet)"
         common.say(self, f"\nWritten to {folder}: {rows_at}, summary.json, report.html")
         if self.json:
@@ -164,9 +169,12 @@ class Campaign(Laws):
         from tqdm import tqdm
 
         from jaxftc.campaigns import store
+        from jaxftc.campaigns.calibrate import by_joint
         from jaxftc.campaigns.spec import begin, complete, worst
+        from jaxftc.cli import record
         from jaxftc.evaluation import summary
         from jaxftc.report import campaign
+        from jaxftc.schemes.registry import scheme
 
         name, note = request["scheme"], lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
@@ -180,6 +188,10 @@ class Campaign(Laws):
             what = "still moved" if calibration["met"] else "let more false alarms through than wanted"
             note(f"{name}: the thresholds {what}")
         result |= {"calibration": calibration}
+        if scheme(job.config).DIAGNOSES:
+            result |= {"thresholds": by_joint(job.config, job.gains), "small_faults": summary.small(rows, job.gains)}
+        ran = record.of(self, job.config)
+        result |= {"provenance": ran | {"gains_that_ran": record.gains_file(folder / store.GAINS)}}
         common.write_json(folder / store.SUMMARY, result)
         shown = worst(job, rows, self.worst)
         write_text(folder / store.REPORT, campaign.campaign(job.config, folder, rows, result, shown))

@@ -8,19 +8,22 @@ import gc
 import json
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxftc.io.files import write_text
+from jaxftc.io.files import digest, write_text
+from jaxftc.io.folder import taken
 
 if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
     from jaxftc.robot.model import Robot
 
-MARK = ".jaxftc"  # in a folder of results: the command that made it
+NO_RESULT = ("out", "json", "cache", "force", "words")  # options that a result does not depend on
+NAMES = ("robot", "preset")  # options that are a name or a file
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
 
 
@@ -42,13 +45,17 @@ class Options:
     """Folder for the results; runs/<command>-<n> if not given."""
     json: bool = False
     """Print one JSON object on stdout and nothing else there."""
+    force: bool = False
+    """Begin anew in a folder that holds another result, or files of others; those of the same names are replaced."""
     cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
     """Keep compiled programs between runs, in the user's cache folder."""
+    words: tyro.conf.Suppress[tuple[str, ...]] = ()
+    """The command line, as it was given."""
 
 
 def say(options: Options, text: str = "") -> None:
     """Text for people: stdout, unless that is JSON's."""
-    print(text, file=sys.stderr if options.json else sys.stdout)
+    print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 def prepare(options: Options, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
@@ -87,8 +94,9 @@ def key(options: Options) -> Any:
     """The random key that ``--seed`` names."""
     import jax
 
-    if not 0 <= options.seed < 2**63:
-        raise ValueError(f"--seed must lie in 0 to 2^63 - 1, got {options.seed}")
+    from jaxftc import checks
+
+    checks.seed("--seed", options.seed)
     return jax.random.key(options.seed)
 
 
@@ -112,23 +120,58 @@ def load_or_default(options: Options, config: Config) -> Gains:
     return default_gains(config) if options.gains is None else load_gains(options.gains, config)
 
 
-def make_folder(options: Options, command: str) -> Path:
-    """The folder for results, made and marked as the command's; the first free number if none was named.
+@contextlib.contextmanager
+def folder(options: Options, command: str, *, goes_on: bool = False) -> Iterator[Path]:
+    """The folder for results, made, marked as the command's, and this process's alone; if none was named, a new one.
+
+    A command that ``goes_on`` from what it finds there checks itself that it is of the same run.
 
     Raises:
-        ValueError: the folder cannot be made or written, or holds what another command made.
+        ValueError: the folder cannot be made or written, is written to by another process, holds files of others or
+            another result, or an input lies in it.
     """
     try:
-        folder = _numbered(command) if options.out is None else options.out
-        folder.mkdir(parents=True, exist_ok=True)
-        mark = folder / MARK
-        made_by = mark.read_text(encoding="utf-8").strip() if mark.exists() else command
-        if made_by == command:
-            write_text(mark, command + "\n")
-            return folder
+        path = _numbered(command) if options.out is None else options.out
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ValueError(f"cannot write results: {error}; give another folder with --out") from error
-    raise ValueError(f"{folder} holds what jaxftc {made_by} made; give another folder with --out")
+    files = [file for name, value in given(options) for file in _files(name, value)]
+    inside = [file for file in files if file.resolve().parent == path.resolve()]
+    if inside:
+        raise ValueError(f"{inside[0]} is read by this command and lies in its folder for results; give another --out")
+    with taken(path, command, {} if goes_on else request(options), force=options.force):
+        yield path
+
+
+def request(options: Options) -> dict[str, Any]:
+    """What a result depends on, option by option, as JSON has it: of files their names and a digest of their content."""
+    found: dict[str, Any] = {}
+    for name, value in given(options):
+        files = _files(name, value)
+        if files:
+            found[name] = [" ".join(map(str, files)), " ".join(digest(file)[:16] for file in files)]
+        elif value is not None:
+            found[name] = value if isinstance(value, bool | int | float | str) else " ".join(map(str, _each(value)))
+    return found
+
+
+def given(options: Any) -> Iterator[tuple[str, Any]]:
+    """Names and values of all options that a result depends on, those of settings among them."""
+    for field in dataclasses.fields(options):
+        value = getattr(options, field.name)
+        if dataclasses.is_dataclass(value):
+            yield from given(value)
+        elif field.name not in NO_RESULT:
+            yield field.name, value
+
+
+def _files(name: str, value: Any) -> list[Path]:
+    """Files that an option names."""
+    return [Path(one) for one in _each(value) if (isinstance(one, Path) or name in NAMES) and Path(one).is_file()]
+
+
+def _each(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
 
 
 def _numbered(command: str) -> Path:

@@ -20,16 +20,18 @@ class Demo(common.Options):
         """Run it, print the table and the claims, write report.html and result.json."""
         common.prepare(self, many=True)
         from jaxftc import Config
+        from jaxftc.cli import record
         from jaxftc.paper import experiment as paper
         from jaxftc.paper.page import demo_page
 
         robot = common.load_arm(self)
         config = Config(robot, engine=self.engine)
         gains = common.load_or_default(self, config)
-        folder = common.make_folder(self, "demo")
-        experiment = paper.run(config, gains, common.key(self))
-        text = common.write_json(folder / "result.json", paper.as_json(experiment))
-        write_text(folder / "report.html", demo_page(config, gains, experiment))
+        with common.folder(self, "demo") as folder:
+            experiment = paper.run(config, gains, common.key(self))
+            ran = record.of(self, config)
+            text = common.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
+            write_text(folder / "report.html", demo_page(config, gains, experiment, ran))
         common.say(self, table(experiment.rows))
         common.say(self, claims(experiment))
         common.say(self, f"\nWritten: {folder / 'report.html'}, {folder / 'result.json'}")

@@ -1,33 +1,40 @@
 """``jaxftc``: finds the commands, runs one, and turns a refusal into one line and exit code 2.
 
 A command is a dataclass whose fields are its options and whose ``run`` does the work. Other packages add theirs through the
-entry-point group ``jaxftc.commands``.
+entry-point group ``jaxftc.commands``. Nothing that takes time is imported before ``main`` runs, so that a signal always finds
+who answers it.
 """
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
+import os
 import sys
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import tyro
-
-from jaxftc.cli.calibrate import Calibrate
-from jaxftc.cli.campaign import Campaign
-from jaxftc.cli.demo import Demo
-from jaxftc.cli.simulate import Simulate
-from jaxftc.cli.view import View
+from jaxftc.cli.stop import at_once
 from jaxftc.version import __version__
 
-COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate, "campaign": Campaign, "calibrate": Calibrate, "view": View}
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+GROUP = "jaxftc.commands"
+COMMANDS = {
+    "demo": "jaxftc.cli.demo:Demo",
+    "simulate": "jaxftc.cli.simulate:Simulate",
+    "campaign": "jaxftc.cli.campaign:Campaign",
+    "calibrate": "jaxftc.cli.calibrate:Calibrate",
+    "view": "jaxftc.cli.view:View",
+}
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 
 def commands() -> dict[str, Any]:
     """All commands by name: our own, then those of installed packages."""
-    found = dict(COMMANDS)
-    for entry in entry_points(group="jaxftc.commands"):
+    from importlib.metadata import EntryPoint
+
+    found = {name: EntryPoint(name, place, GROUP).load() for name, place in COMMANDS.items()}
+    for entry in installed():
         try:
             found.setdefault(entry.name, entry.load())
         except ModuleNotFoundError as error:
@@ -35,8 +42,19 @@ def commands() -> dict[str, Any]:
     return found
 
 
+def installed() -> Any:
+    """Commands of installed packages."""
+    from importlib.metadata import entry_points
+
+    return entry_points(group=GROUP)
+
+
 def _absent(entry: EntryPoint, error: ModuleNotFoundError) -> Any:
     """A command that says why it is not there: the wheel leaves out the benchmarks."""
+    import dataclasses
+
+    import tyro
+
     ours = error.name == entry.module.split(".")[0]
     what_to_do = "run it from a checkout, after pip install -e ." if ours else f"install {error.name}"
 
@@ -49,21 +67,59 @@ def _absent(entry: EntryPoint, error: ModuleNotFoundError) -> Any:
 
 
 def parse(arguments: list[str] | None = None) -> Any:
-    """The command's dataclass, filled in; leaves with exit code 2 on unknown options."""
-    return tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=arguments)
+    """The command's dataclass, filled in; leaves with exit code 2 on unknown options.
+
+    Raises:
+        ValueError: an argument that is no text, or a list without an entry.
+    """
+    import tyro
+
+    words = tuple(sys.argv[1:] if arguments is None else arguments)
+    for word in words:
+        if any("\ud800" <= letter <= "\udfff" for letter in word):
+            raise ValueError(f"arguments and names of files must be UTF-8, got {os.fsencode(word)!r}; rename it")
+    command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
+    from jaxftc.cli import common
+
+    for name, value in common.given(command):
+        option = "--" + name.replace("_", "-")
+        if value == () and option in (word.replace("_", "-") for word in words):
+            raise ValueError(f"{option} was given without an entry; name at least one, or leave it out")
+    if isinstance(command, common.Options):
+        command.words = words
+    return command
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the console script."""
-    if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
-        print(f"jaxftc {__version__}")
+    with at_once():
+        _open_streams()
+        if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
+            print(f"jaxftc {__version__}")
+            return
+        try:
+            parse(arguments).run()
+        except BrokenPipeError:  # whoever read our output has gone: nobody is left to be told
+            for stream in (sys.stdout, sys.stderr):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            sys.exit(141)
+        except (ValueError, OSError) as error:
+            _refuse(" ".join(str(error).split()))
+        except MemoryError:
+            _refuse("not enough memory; ask for fewer scenarios or a shorter run")
+
+
+def _refuse(reason: str) -> None:
+    """Say why in one line, if anybody listens, and leave with exit code 2."""
+    with contextlib.suppress(OSError):
+        print(f"jaxftc: {reason}", file=sys.stderr)
+    sys.exit(2)
+
+
+def _open_streams() -> None:
+    """What was closed leads nowhere; otherwise the next file that is opened would get its number, and what is printed."""
+    if sys.stdin and sys.stdout and sys.stderr:
         return
-    command = parse(arguments)
-    try:
-        command.run()
-    except (ValueError, OSError) as error:
-        print(f"jaxftc: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("jaxftc: stopped; the files that are there are complete", file=sys.stderr)
-        sys.exit(130)
+    while os.open(os.devnull, os.O_RDWR) < 2:
+        pass
+    sys.stdout, sys.stderr = (stream or open(os.devnull, "w") for stream in (sys.stdout, sys.stderr))  # noqa: SIM115

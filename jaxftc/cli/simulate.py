@@ -59,20 +59,24 @@ class Simulate(common.Options):
 
             engine = store.read_manifest(self.campaign)["request"]["engine"]
         common.prepare(self, many=from_campaign, engine=engine)  # as the campaign did: the same program, to the last bit
+        from jaxftc.cli import record
         from jaxftc.evaluation import metrics
         from jaxftc.io import trace_file
         from jaxftc.report.figures import trace_page
 
-        config, trace, title, more = self._again() if from_campaign else self._paper()
-        diverged = from_campaign and more["row"]["diverged"]
-        result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
-        if from_campaign and not diverged:  # as the campaign has it, which knows the scenario and not only its signals
-            result |= {name: more["row"][name] for name in ("delay_s", "false_alarm_s")}
-            result |= {"isolated": more["row"]["verdict_right"]}
-        folder = common.make_folder(self, "simulate")
-        trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
-        text = common.write_json(folder / "result.json", result)
-        write_text(folder / "figures.html", trace_page(config, trace, title))
+        with common.folder(self, "simulate") as folder:
+            config, trace, title, more = self._again() if from_campaign else self._paper()
+            diverged = from_campaign and more["row"]["diverged"]
+            result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
+            if from_campaign and not diverged:  # as the campaign has it, which knows the scenario and not only its signals
+                result |= {name: more["row"][name] for name in ("delay_s", "false_alarm_s")}
+                result |= {"isolated": more["row"]["verdict_right"]}
+            ran = record.of(self, config)
+            if self.campaign is not None:
+                ran |= record.of_campaign(self.campaign)
+            trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
+            text = common.write_json(folder / "result.json", result | {"provenance": ran})
+            write_text(folder / "figures.html", trace_page(config, trace, title, ran))
         common.say(self, f"{title}: the arm diverged" if diverged else table(title, result))
         if from_campaign:
             common.say(self, row_as_text(result))
@@ -114,7 +118,7 @@ class Simulate(common.Options):
         from jaxftc.evaluation import metrics
 
         assert self.campaign is not None and self.id is not None
-        free = ("campaign", "id", "out", "json", "cache")
+        free = ("campaign", "id", "out", "json", "cache", "force", "words")
         idle = [f.name for f in dataclasses.fields(self) if f.name not in free and getattr(self, f.name) != f.default]
         if idle:
             raise ValueError(
@@ -127,7 +131,7 @@ class Simulate(common.Options):
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
         row, trace = again(job, self.id)
-        stored = store.read_rows(self.campaign, self.id + 1, where=f"scenario_id = {self.id}")
+        stored = store.read_rows(self.campaign, self.id + 1, first=self.id)
         same = None
         if len(stored.get("scenario_id", ())):
             same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())

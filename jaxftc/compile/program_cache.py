@@ -27,7 +27,7 @@ import jax
 import jax.numpy as jnp
 from jax import export
 
-from jaxftc.io.files import aside
+from jaxftc.io.files import read_sealed, write_sealed
 
 MOST = 64  # programs in the folder; the ones used longest ago go first
 TRACED_WITH = ("jax", "jaxlib", "numpy", "optax", "mujoco", "mujoco-mjx")
@@ -107,16 +107,13 @@ def _exported(flat: Callable[..., Any], values: list[Any], text: str) -> Any:
 
 
 def _read(path: Path) -> Any:
-    data = path.read_bytes()
-    if hashlib.sha256(data[32:]).digest() != data[:32]:
-        raise OSError(f"{path} is damaged")
+    data = read_sealed(path)
     path.touch()
-    return export.deserialize(bytearray(data[32:]))
+    return export.deserialize(bytearray(data))
 
 
 def _write(path: Path, data: bytearray) -> None:
-    with aside(path) as temporary:
-        temporary.write_bytes(hashlib.sha256(data).digest() + data)
+    write_sealed(path, bytes(data))
     for old in sorted(path.parent.iterdir(), key=lambda file: file.stat().st_mtime)[:-MOST]:
         old.unlink(missing_ok=True)
 

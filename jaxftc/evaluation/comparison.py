@@ -12,6 +12,7 @@ from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.summary import ERRORS, FAULTY, Table
 
 UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
+MOSTLY = 0.5  # share of faults below the thresholds from which it is said
 WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
 
 
@@ -111,7 +112,7 @@ def as_text(found: dict[str, dict[str, Any]]) -> str:
         for line in lines
     ]
     star = "; * best of the column" if len(found) > 1 else ""
-    lines = [f"{name}: {calibrated(result)}" for name, result in found.items()]
+    lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
     return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], NOTE + star, *lines])
 
 
@@ -127,6 +128,23 @@ def calibrated(result: dict[str, Any]) -> str:
         f"Thresholds set for {100 * found['wanted']:g} % of healthy runs with an alarm: "
         f"{100 * found['false_alarm_runs']:.2f} % [{100 * low:.2f}, {100 * high:.2f}] of {found['fresh_runs']} fresh ones."
     )
+
+
+def thresholds(result: dict[str, Any]) -> list[str]:
+    """The thresholds that ran, and which kinds of fault are mostly smaller than them, a sentence each."""
+    by_channel = result.get("thresholds", {})
+    words = {"alpha_tau_nm": "N m of torque", "alpha_q_deg": "deg of the encoder"}
+    lines = [
+        f"Thresholds, {words[key]}: {', '.join(f'{joint} {level:.4g}' for joint, level in levels.items())}."
+        for key, levels in by_channel.items()
+    ]
+    lines += [
+        f"{100 * share:.0f} % OF THE {kind.upper()} FAULTS ARE SMALLER than their joint's threshold: few of them can raise "
+        "an alarm. Set the thresholds for these arms (jaxftc calibrate), or draw larger faults."
+        for kind, share in result.get("small_faults", {}).items()
+        if share > MOSTLY
+    ]
+    return lines
 
 
 def pairs_as_text(pairs: list[dict[str, Any]]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.online import LEVELS
 from jaxftc.evaluation.table import CROSSINGS
+from jaxftc.gains import Gains
 from jaxftc.types import LABELS, Verdict
 
 NORMAL = Verdict.NORMAL.label
@@ -60,6 +61,8 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
     found["confusion"] = confusion(rows).tolist()
+    gone = rows["detected"] & (rows["kind_hat"] == NORMAL)
+    found["alarm_gone"] = [int((gone & (kind == name)).sum()) for name in LABELS]  # of those said to be normal
     found["by_kind"] = _by_kind(rows)
     found["errors"] = {name: _number(median(rows[name][np.isin(kind, kinds)]).value) for name, kinds in ERRORS.items()}
     curve = roc(rows)
@@ -77,6 +80,19 @@ def confusion(rows: Table) -> np.ndarray:
     """Counts [4, 4]: true kind by row, verdict 60 ms after the alarm by column, in the order of ``Verdict``."""
     true, said = ([rows[column] == name for name in LABELS] for column in ("kind", "kind_hat"))
     return np.array([[int((t & s).sum()) for s in said] for t in true])
+
+
+def small(rows: Table, gains: Gains) -> dict[str, float]:
+    """Share of the biases of a channel that are smaller than their joint's threshold; a channel without any is left out."""
+    levels = {"actuator bias": ("tau", np.asarray(gains.diagnosis.alpha_tau, float))}
+    levels["encoder bias"] = ("q", np.rad2deg(np.asarray(gains.diagnosis.alpha_q, float)))
+    found = {}
+    for name, (channel, level) in levels.items():
+        there = rows[f"fault_{channel}"] == "bias"
+        if there.any():
+            size, joint = rows[f"magnitude_{channel}"][there], rows[f"joint_{channel}"][there]
+            found[name] = float((np.abs(size) < level[joint - 1]).mean())
+    return found
 
 
 def roc(rows: Table) -> dict[str, Any]:

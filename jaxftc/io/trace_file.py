@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxftc.io.files import write_parquet
+from jaxftc.io.tables import write_parquet
 
 
 def write(path: Path, trace: dict[str, np.ndarray], joints: tuple[str, ...]) -> None:

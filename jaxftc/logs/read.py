@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxftc.config import Config
+from jaxftc.io import tables
 from jaxftc.logs.log import Log, check_log
 
 GAP = 5  # sample times without a row that still pass
@@ -54,17 +55,9 @@ def read(path: str | Path, config: Config) -> Log:
 
 
 def _table(path: Path) -> dict[str, np.ndarray]:
-    import duckdb
-
-    reader = {".csv": "read_csv", ".parquet": "read_parquet"}.get(path.suffix.lower())
-    if reader is None:
+    if path.suffix.lower() not in tables.READERS:
         raise ValueError(f"a log must be a .csv or .parquet file, got {path}")
-    try:
-        with duckdb.connect() as connection:
-            found = connection.execute(f"select * from {reader}($path)", {"path": str(path)}).fetchnumpy()
-    except duckdb.Error as error:
-        raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
-    return {name: np.ma.filled(np.ma.asarray(column, dtype=object), np.nan) for name, column in found.items()}
+    return {name: np.ma.filled(np.ma.asarray(column, dtype=object), np.nan) for name, column in tables.read(path).items()}
 
 
 def _signals(

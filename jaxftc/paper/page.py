@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import html
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,8 +27,8 @@ SETS = ("NB", "NM", "NS", "Z", "PS", "PM", "PB")
 LEVELS = ("PS", "PM", "PB")
 
 
-def demo_page(config: Config, gains: Gains, experiment: Experiment) -> str:
-    """The paper's experiment: claims, block diagram, the paper's figures in their order, comparison table."""
+def demo_page(config: Config, gains: Gains, experiment: Experiment, ran: Mapping[str, Any] = MappingProxyType({})) -> str:
+    """The paper's experiment: claims, block diagram, the paper's figures in their order, comparison table; what ran."""
     sections = [
         f"<p>{html.escape(_about(config))}</p>",
         "<h2>What became of the paper's claims</h2>" + _claims(experiment.claims),
@@ -42,7 +44,7 @@ def demo_page(config: Config, gains: Gains, experiment: Experiment) -> str:
         embed(surface_figure(config, {"": gains}, "Table 1 as a surface: the factor on the switching gain")),
         "<h2>Every observer with every controller</h2>" + _comparison(experiment.rows),
     ]
-    return page("jaxftc demo: the paper's experiment", sections, config.robot.joint_names)
+    return page("jaxftc demo: the paper's experiment", sections, config.robot.joint_names, ran)
 
 
 def _about(config: Config) -> str:

@@ -25,10 +25,11 @@ from jaxftc.types import LABELS
 def campaign(
     config: Config, folder: Path, rows: Table, result: dict[str, Any], worst: list[tuple[dict[str, Any], Trace]]
 ) -> str:
-    """One scheme's page."""
+    """One scheme's page; ``result`` is its summary, with what ran."""
     sections = [
         table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS),
         f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
+        *(f"<p>{html.escape(line)}</p>" for line in versus.thresholds(result)),
         "<h2>What was true, what was said</h2>",
         embed(confusion(result)),
         "<h2>By kind of fault</h2>",
@@ -46,15 +47,20 @@ def campaign(
         sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
         columns = metrics.columns(trace)
         sections += [embed(residual_figure(config, columns, "Residuals", _shown(row)))]
-    return page(f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios", sections, config.robot.joint_names)
+    title = f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios"
+    return page(title, sections, config.robot.joint_names, result["provenance"])
 
 
-def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) -> str:
-    """All schemes of a comparison on one page."""
+def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]], ran: dict[str, Any]) -> str:
+    """All schemes of a comparison on one page, and what ran."""
     text = versus.pairs_as_text(pairs)
     sections = [
         table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE}; * best of the column.</p>",
-        *(f"<p>{html.escape(name)}: {versus.calibrated(result)}</p>" for name, result in found.items()),
+        *(
+            f"<p>{html.escape(name)}: {html.escape(line)}</p>"
+            for name, result in found.items()
+            for line in (versus.calibrated(result), *versus.thresholds(result))
+        ),
         "<h2>Thresholds: false alarms against detection and delay</h2>",
         embed(trade_off(found)),
         f"<h2>Paired by scenario</h2><pre>{html.escape(text.strip())}</pre>",
@@ -63,7 +69,7 @@ def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]]) ->
         "<h2>By kind of fault</h2>",
         *(f"<h3>{html.escape(name)}</h3>" + _kinds(result) for name, result in found.items()),
     ]
-    return page(f"jaxftc campaign: {', '.join(found)}", sections)
+    return page(f"jaxftc campaign: {', '.join(found)}", sections, ran=ran)
 
 
 def confusion(result: dict[str, Any]) -> go.Figure:
@@ -71,12 +77,15 @@ def confusion(result: dict[str, Any]) -> go.Figure:
     counts = np.asarray(result["confusion"])
     shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
     text = [[f"{c}<br>{100 * s:.1f} %" for c, s in zip(*pair, strict=True)] for pair in zip(counts, shares, strict=True)]
+    for row, gone in zip(text, result["alarm_gone"], strict=True):
+        row[0] += f"<br>{gone} had an alarm" if gone else ""
     figure = go.Figure(
         go.Heatmap(z=shares, x=LABELS, y=LABELS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
     )
     figure.update_yaxes(autorange="reversed", title_text="true kind")
     title = f"Verdict {1e3 * metrics.SETTLE:.0f} ms after the alarm"
-    figure = finish(figure, title, "Counts, and shares of the row; normal: no alarm.")
+    note = "Counts, and shares of the row. Said to be normal: no alarm, or one that was over by then; those are counted too."
+    figure = finish(figure, title, note)
     return figure.update_xaxes(title_text="said")
 
 
@@ -104,7 +113,11 @@ def delays(rows: Table) -> go.Figure:
 
 
 def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
-    """Detection and delay of each kind against the share of healthy runs with an alarm, over the threshold scale."""
+    """Detection and delay of each kind against the share of healthy runs with an alarm, over the threshold scale.
+
+    A curve ends at the lowest thresholds that find the most. Below them it would bend back: an alarm that is up before the
+    fault has not found it.
+    """
     figure = make_subplots(
         2, len(FAULTY), shared_xaxes=True, vertical_spacing=0.08, subplot_titles=[f"{kind} faults" for kind in FAULTY]
     )
@@ -112,19 +125,25 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
         curve = result["roc"]
         least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
         alarms = [None if x is None else max(100 * x, least) for x in curve["false_alarm_runs"]]
-        look: dict[str, Any] = {
-            "legendgroup": scheme, "mode": "lines+markers", "line_color": COLOURS[k % len(COLOURS)],
-            "marker": _ringed(curve["scale"]), "customdata": curve["scale"],
-            "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
-        }  # fmt: skip
         for c, kind in enumerate(FAULTY, start=1):
-            share = [None if x is None else 100 * x for x in curve["detection"][kind]]
+            detection = curve["detection"][kind]
+            share = [None if x is None else 100 * x for x in detection]
             late = [None if x is None else 1e3 * x for x in curve["delay_median_s"][kind]]
-            figure.add_scatter(x=alarms, y=share, name=scheme, showlegend=c == 1, **look, row=1, col=c)
-            figure.add_scatter(x=alarms, y=late, showlegend=False, **look, row=2, col=c)
+            first = max(range(len(detection)), key=lambda at: detection[at] or 0.0)
+            scale = curve["scale"][first:]
+            look: dict[str, Any] = {
+                "x": alarms[first:], "legendgroup": scheme, "mode": "lines+markers",
+                "line_color": COLOURS[k % len(COLOURS)], "marker": _ringed(scale), "customdata": scale,
+                "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
+            }  # fmt: skip
+            figure.add_scatter(y=share[first:], name=scheme, showlegend=c == 1, **look, row=1, col=c)
+            figure.add_scatter(y=late[first:], showlegend=False, **look, row=2, col=c)
     figure.update_yaxes(title_text="% found", row=1, col=1)
     figure.update_yaxes(title_text="median delay, ms", row=2, col=1)
-    note = "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run."
+    note = (
+        "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run. A curve ends where lower "
+        "thresholds find no more, because alarms are up before the fault."
+    )
     figure = finish(figure, "Each point is a scale of all thresholds", note, panels=3)
     figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
     return figure.update_xaxes(LOGARITHMIC).update_layout(legend_y=1.06)

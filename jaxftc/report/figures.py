@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -181,7 +182,9 @@ def surface_figure(config: Config, gains: dict[str, Gains], title: str) -> go.Fi
     return figure.update_xaxes(title_text="joint position, deg").update_layout(margin_t=40 if len(gains) > 1 else 16)
 
 
-def trace_page(config: Config, trace: dict[str, np.ndarray], title: str) -> str:
-    """One run: motion, torque, residuals with thresholds."""
+def trace_page(
+    config: Config, trace: dict[str, np.ndarray], title: str, ran: Mapping[str, Any] = MappingProxyType({})
+) -> str:
+    """One run: motion, torque, residuals with thresholds; and what ran."""
     shown = [motion_figure(config, trace), residual_figure(config, trace, "Residuals and thresholds")]
-    return page(title, [embed(figure) for figure in shown], config.robot.joint_names)
+    return page(title, [embed(figure) for figure in shown], config.robot.joint_names, ran)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from types import MappingProxyType
 from typing import Any
 
 import plotly.graph_objects as go
@@ -12,15 +13,16 @@ import plotly.graph_objects as go
 Cell = str | tuple[str, str]  # text, or text and the class of its look, or text and the #anchor that it leads to
 
 
-def page(title: str, sections: list[str], joints: Sequence[str] = ()) -> str:
+def page(title: str, sections: list[str], joints: Sequence[str] = (), ran: Mapping[str, Any] = MappingProxyType({})) -> str:
     """A self-contained page of sections in HTML, which opens offline.
 
     ``joints`` are names of the joints between which the reader may choose; figures say by ``meta`` what belongs to which.
+    ``ran`` is what it takes to make it again, the last section.
     """
     from plotly.offline import get_plotlyjs
 
     style, script = ((files("jaxftc.report") / name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
-    body = "\n".join([_choice(joints), *sections])
+    body = "\n".join([_choice(joints), *sections, _provenance(ran)])
     return (
         f"<!doctype html><html lang='en'><head><meta charset='utf-8'><title>{html.escape(title)}</title>"
         f"<meta name='viewport' content='width=device-width,initial-scale=1'><link rel='icon' href='data:,'>"
@@ -73,6 +75,19 @@ def table(
     )
     body = "".join(f"<tr>{''.join(_cell(k, cell, text) for k, cell in enumerate(row))}</tr>" for row in rows)
     return f"<div class='wide'><table{_class(look)}><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def _provenance(ran: Mapping[str, Any]) -> str:
+    rows = [(name.replace("_", " "), _plain(value)) for name, value in ran.items()]
+    return "<h2>What ran</h2>" + table(("", ""), rows, text=2, look="provenance") if rows else ""
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_plain(one)}" for name, one in value.items()) or "none"
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_plain, value))}]"
+    return "default" if value is None else str(value)
 
 
 def _cell(column: int, cell: Cell, text: int) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 import pydantic
 
 from jaxftc import checks
+from jaxftc.io.toml import read_toml
 from jaxftc.scenarios.distributions import FORMS, WAYS
 from jaxftc.scenarios.preset import Paper, Preset
 from jaxftc.scenarios.preset_error import PresetError, one_of_text
@@ -60,6 +61,12 @@ def as_dict(preset: Preset) -> Table:
     return {"base": "paper"} if isinstance(preset, Paper) else _plain(preset)
 
 
+def said(preset: str) -> Table:
+    """A preset by name or file, for records: its name, the preset that it is based on and what it changes of that."""
+    own = dict(read_toml(preset, "preset")) if preset.endswith(".toml") else {}
+    return {"name": preset, "base": own.pop("base", None) if own else preset, "changes": own}
+
+
 @functools.cache
 def _built_in(name: str) -> Preset:
     return Paper() if name == "paper" else _check(name, _built_in_table(name))
@@ -72,10 +79,7 @@ def _built_in_table(name: str) -> Table:
 
 
 def _load_file(path: Path) -> Preset:
-    try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"cannot read preset from {path}: {error}") from error
+    said = read_toml(path, "preset")
     if said.get("base") == "paper":
         if len(said) > 1:
             other = next(key for key in said if key != "base")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import glob
 from pathlib import Path
 
 import numpy as np
 
 from jaxftc.evaluation.metrics import SETTLE
+from jaxftc.io import tables
 from jaxftc.types import Verdict
 
 HEALTHY, FAULT, DETECTED, ALARM = range(4)  # state of a joint: nothing, fault not found, fault found, alarm without a fault
@@ -56,16 +56,10 @@ def read(path: Path) -> Replay:
     Raises:
         ValueError: no such file, not a trace, or an arm that diverges at once.
     """
-    import duckdb
-
     path = path / "trace.parquet" if path.is_dir() else path
     if not path.is_file():
         raise ValueError(f"no trace at {path}; give a folder that `jaxftc simulate` wrote, or its trace.parquet")
-    try:
-        with duckdb.connect() as connection:
-            table = connection.execute("select * from read_parquet($path)", {"path": glob.escape(str(path))}).fetchnumpy()
-    except duckdb.Error as error:
-        raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
+    table = tables.read(path)
     joints = tuple(name.removeprefix("q_ref_") for name in table if name.startswith("q_ref_"))
     signals = ("q", "q_ref", "fault_tau", "fault_q", "verdict")
     absent = [name for name in ("t", *(f"{s}_{j}" for s in signals for j in joints)) if name not in table]
