@@ -1,8 +1,8 @@
 """``jaxftc``: finds the commands, runs one, and turns a refusal into one line and exit code 2.
 
 A command is a dataclass whose fields are its options and whose ``run`` does the work. Other packages add theirs through the
-entry-point group ``jaxftc.commands``. Nothing that takes time is imported before ``main`` runs, so that a signal always finds
-who answers it.
+entry-point group ``jaxftc.commands``. Nothing that takes time is imported before ``main`` runs, so that a signal always
+finds who answers it.
 """
 
 from __future__ import annotations

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.robot import dynamics, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
 from jaxftc.types import Array
@@ -28,12 +27,9 @@ def hold(robot: Robot, q: Array) -> LastCommand:
     return LastCommand(gravity, zero, dynamics.nominal_mass(robot, at).packed(q))
 
 
-def applied_acceleration(robot: Robot, command: LastCommand, tau: Array) -> tuple[Array, Array]:
-    """Torque [n, ...] N m that was really commanded in the last tick, and the acceleration [n, ...] rad/s^2 it stands for.
+def applied_acceleration(command: LastCommand, tau: Array) -> Array:
+    """Acceleration [n, ...] rad/s^2 that the torque [n, ...] N m really commanded in the last tick stands for.
 
     The command was computed for ``command.qdd``; what the limits (or a log) made of it differs by M^-1 of the difference.
-    A torque that is not finite counts as the command itself, within the limits.
     """
-    limit = lanes.trailing_constant(robot.torque_limit, command.tau)
-    tau = jnp.where(jnp.isfinite(tau), tau, smooth.saturate(command.tau, limit))
-    return tau, command.qdd + MassMatrix.unpacked(command.mass).solve(tau - command.tau)
+    return command.qdd + MassMatrix.unpacked(command.mass).solve(tau - command.tau)

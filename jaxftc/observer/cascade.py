@@ -17,8 +17,11 @@ from jaxftc.gains import Gains
 from jaxftc.numerics.barrier import store
 from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno
 from jaxftc.observer.takagi_sugeno import Jump
+from jaxftc.robot import reach
 from jaxftc.stages import Stages, either
 from jaxftc.types import Array, SensorStatus
+
+BLIND = 1.0  # rad/s^2, by which a prediction without a reading may be wrong
 
 
 class State(NamedTuple):
@@ -33,7 +36,7 @@ class State(NamedTuple):
     q2: Array  # [n, ...] rad, q_hat two ticks ago
     reading: Array  # [n, ...] rad, last finite reading
     b_fresh: Array  # [n, ...] rad, encoder fault when the reading last changed
-    unused: Array  # [n, ...] 1 where the last reading was not used, else 0
+    unread: Array  # [n, ...] ticks since a reading was last used
 
 
 class Reading(NamedTuple):
@@ -65,7 +68,8 @@ class _Availability(NamedTuple):
 
     frozen: Array  # held to be frozen, and still the same
     absent: Array  # not finite
-    missing: Array  # either
+    wild: Array  # further from the last one than a joint turns in a tick
+    missing: Array  # not used: frozen, absent, or one that the sensor check gives no credit
     back: Array  # used again after a pause
 
 
@@ -82,7 +86,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         q2=q,
         reading=q,
         b_fresh=zero,
-        unused=zero,
+        unread=zero,
     )
 
 
@@ -98,13 +102,19 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     The model takes the place of a reading that is absent or frozen, and moves to the reading that comes back; it also
     follows the jumps of a reading that is already held to be wrong.
     """
-    at = _availability(state, reading)
     y_hat = arx.predict(gains.arx, state.arx)
-    b = jnp.where(at.frozen, state.b_fresh, state.fuzzy.b)
+    frozen = (reading.sensors.frozen > 0) & (reading.q == state.reading)
+    b = jnp.where(frozen, state.b_fresh, state.fuzzy.b)
+    at = _availability(config, state, reading, frozen, reading.q - b - y_hat)
     y = jnp.where(at.missing, y_hat + b, reading.q)
+    b = jnp.where(at.back & _healed(config, state, y - y_hat, b), 0.0, b)
     e = y - b - y_hat
     jump = _jump(config, gains, state, reading, at, y - b, e, b, on)
-    model_reset = jnp.where(at.back, e, jump.followed)
+    ahead = y_hat - state.q1  # a model that is left to itself must not leave the arm behind
+    reach_back = jnp.where(at.missing, jnp.clip(ahead, -_step(config), _step(config)) - ahead, jump.followed)
+    leap = at.back & (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.suspect == 0)
+    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
+    model_reset = jnp.where(at.back & ~leap, e, reach_back)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
     y_hat, e, b = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved))
     pi_next, psi = pi.step(config, gains, state.pi, pi.Inputs(e))
@@ -123,7 +133,7 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
         q2=state.q1 + model_reset,
         reading=jnp.where(at.absent, state.reading, reading.q),
         b_fresh=jnp.where(changed, b, state.b_fresh),
-        unused=at.missing.astype(e.dtype),
+        unread=jnp.where(at.missing, state.unread + 1, 0.0),
     )
     return next_state, Estimate(y, y_hat, e, jump, model_reset, b, q_hat, fault_q, psi, at.missing, at.absent)
 
@@ -143,11 +153,26 @@ def adapt(config: Config, gains: Gains, state: State, seen: Estimate, residual_t
     return state._replace(fuzzy=fuzzy, arx=state.arx._replace(x_a=x_a))
 
 
-def _availability(state: State, reading: Reading) -> _Availability:
-    frozen = (reading.sensors.frozen > 0) & (reading.q == state.reading)
+def _step(config: Config) -> float:
+    """More, rad, than a joint turns in a tick."""
+    return reach.SPEED * config.dt
+
+
+def _availability(config: Config, state: State, reading: Reading, frozen: Array, e: Array) -> _Availability:
     absent = ~jnp.isfinite(reading.q)
-    missing = absent | frozen
-    return _Availability(frozen, absent, missing, ~missing & (state.unused > 0))
+    wild = jnp.abs(reading.q - state.reading) > _step(config)
+    doubted = ((reading.sensors.noisy > 0) & (jnp.abs(e) > _step(config))) | ((reading.sensors.suspect > 0) & wild)
+    missing = absent | frozen | doubted
+    return _Availability(frozen, absent, wild, missing, ~missing & (state.unread > 0))
+
+
+def _healed(config: Config, state: State, e: Array, b: Array) -> Array:
+    """Whether a reading that comes back, e [n, ...] rad off a prediction without a fault, has lost its fault b in the pause.
+
+    What is nearer to the prediction is believed. That gets worse with the pause, and the fault is believed less.
+    """
+    blind = 0.5 * BLIND * (config.dt * state.unread) ** 2
+    return jnp.abs(e) <= jnp.abs(e - b) + blind
 
 
 def _jump(
@@ -170,8 +195,10 @@ def _jump(
     if on.fuzzy is False:
         return none
     unexplained = corrected - 2 * state.q1 + state.q2 - config.dt**2 * reading.qdd
-    unexplained = jnp.where(at.missing | at.back, 0.0, unexplained)
-    jump = takagi_sugeno.classify_jump(gains.observer, unexplained, e - state.e, b, reading.sensors)
+    unused = at.missing | at.back
+    unexplained = jnp.where(unused, jnp.where(at.wild, reading.q - state.reading, 0.0), unexplained)  # wild ones count
+    change = jnp.where(unused, 0.0, e - state.e)
+    jump = takagi_sugeno.classify_jump(gains.observer, unexplained, change, b, reading.sensors)
     return either(on.fuzzy, jump, none)
 
 

@@ -43,6 +43,11 @@ class State(NamedTuple):
         """Angle [n, ...] rad that the arm was taken to be at."""
         return self.control.q
 
+    @property
+    def unread(self) -> Array:
+        """Ticks [n, ...] since a reading was last used."""
+        return self.observer.unread
+
 
 class Applied(NamedTuple):
     """What the last command did to the arm, Eqs. (2), (3)."""
@@ -112,7 +117,7 @@ def _applied(config: Config, state: State, tau: Array) -> Applied:
     The psi of ``input="torque"`` stands for all that a constant inertia leaves out, gravity first, which the nominal arm
     knows: it is no fault to count on.
     """
-    tau, qdd = last_command.applied_acceleration(config.robot, state.command, tau)
+    qdd = last_command.applied_acceleration(state.command, tau)
     if config.input == "torque":
         return Applied(tau + MassMatrix.unpacked(state.command.mass).matvec(state.psi), qdd, qdd)
     return Applied(qdd + state.psi, qdd, qdd + state.psi)

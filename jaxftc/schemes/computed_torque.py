@@ -32,7 +32,7 @@ class Motion(NamedTuple):
     q: Array  # [n, ...] rad, reading, predicted where there is none
     qd: Array  # [n, ...] rad/s
     half: Array  # [n, ...] rad/s, speed half a tick ago, which is what a difference of two angles says
-    held: Array  # [n, ...] 1 where there was no reading, else 0
+    unread: Array  # [n, ...] ticks since there was a reading
 
 
 class State(NamedTuple):
@@ -45,6 +45,11 @@ class State(NamedTuple):
     def q(self) -> Array:
         """Angle [n, ...] rad."""
         return self.motion.q
+
+    @property
+    def unread(self) -> Array:
+        """Ticks [n, ...] since there was a reading."""
+        return self.motion.unread
 
 
 def gains_used(config: Config) -> set[str]:
@@ -61,7 +66,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """Track, and say nothing of faults."""
-    _, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
+    qdd = applied_acceleration(state.command, measurement.tau)
     motion = follow(config, gains, state.motion, qdd, measurement.q)
     zero = jnp.zeros_like(motion.q)
     command = law(config, gains, motion.q, motion.qd, reference, zero)
@@ -83,12 +88,12 @@ def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Ar
     predicted = before.q + config.dt * (before.qd + 0.5 * config.dt * qdd)  # the angle at which the speed is not corrected
     missing = ~jnp.isfinite(reading)
     q = jnp.where(missing, predicted, reading)
-    back = ~missing & (before.held > 0)
+    back = ~missing & (before.unread > 0)
     start = before.q + jnp.where(back, q - predicted, 0.0)
     qd = surface.speed(gains.baseline.speed_weight, before.qd, qdd, start, q, config.dt)
     half = before.half + config.dt * qdd
     half = half + gains.baseline.speed_weight * ((q - start) / config.dt - half)
-    return Motion(q, qd, half, missing.astype(q.dtype))
+    return Motion(q, qd, half, jnp.where(missing, before.unread + 1, 0.0))
 
 
 def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference, fault: Array) -> LastCommand:

@@ -44,6 +44,7 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     belief: Belief
+    unread: Array  # [n, ...] ticks since there was a reading
     alarm: alarm.State
     command: LastCommand
 
@@ -64,13 +65,13 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     zero = jnp.zeros_like(q)
     cov = diagonal(jnp.broadcast_to(gains.baseline.noise_y**2, q.shape), zero, zero, zero)
     belief = Belief(jnp.concatenate([q, zero, zero, zero]), cov)
-    return State(belief, alarm.init(config, gains, q), hold(config.robot, q))
+    return State(belief, zero, alarm.init(config, gains, q), hold(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """Predict, correct, judge both fault states, track with both taken out."""
-    tau, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
-    belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, tau), measurement.q)
+    qdd = applied_acceleration(state.command, measurement.tau)
+    belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, measurement.tau), measurement.q)
     q, qd, fault_tau, fault_q = parts(belief.mean)
     qd = qd + 0.5 * config.dt * qdd  # q+ - q = T qd+: the integrator's speed is that of half a tick ago (control/surface.py)
     command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
@@ -87,7 +88,8 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         fault_q=fault_q,
         verdict=decision.verdict(alarms.tau, alarms.q),
     )
-    return State(belief, own, command), output
+    unread = jnp.where(jnp.isfinite(measurement.q), 0.0, state.unread + 1)
+    return State(belief, unread, own, command), output
 
 
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:

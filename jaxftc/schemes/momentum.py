@@ -59,6 +59,11 @@ class State(NamedTuple):
         """Angle [n, ...] rad."""
         return self.motion.q
 
+    @property
+    def unread(self) -> Array:
+        """Ticks [n, ...] since there was a reading."""
+        return self.motion.unread
+
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
@@ -79,10 +84,10 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     """
     # The command compensates r, so the acceleration it stands for has r in it: without that the speed would be biased by a
     # fault, by M^-1 fault for as long as the speed filter remembers.
-    tau, qdd = applied_acceleration(config.robot, state.command, measurement.tau)
+    qdd = applied_acceleration(state.command, measurement.tau)
     motion = computed_torque.follow(config, gains, state.motion, qdd, measurement.q)
     now = momentum(config.robot, motion.q, motion.half)
-    observer = observe(gains.baseline, state.observer, now, tau, config.dt)
+    observer = observe(gains.baseline, state.observer, now, measurement.tau, config.dt)
     own, alarms = alarm.step(config, gains, state.alarm, Statistics(observer.r, jnp.zeros_like(observer.r)))
     command = computed_torque.law(config, gains, motion.q, motion.qd, reference, observer.r)
     output = computed_torque.report(

@@ -16,7 +16,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
 from jaxftc.variants import SCHEMES
@@ -61,7 +61,7 @@ def tick(
             f"{type(state).__name__}"
         )
     check_gains(config, gains)
-    reference, measurement = _signals(config, state.q, reference, measurement)
+    reference, measurement = _signals(config, state, reference, measurement)
     beside = {} if stages is None else {"stages": stages}
     return chosen.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **beside)
 
@@ -73,14 +73,28 @@ def holding_torque(config: Config, q: Array) -> Array:
     return smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, q))
 
 
-def _signals(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
-    """Signals as arrays of the right shape; a joint whose reference is not finite is to hold the angle it is ``at``."""
+def _signals(config: Config, state: Any, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
+    """Signals as arrays of the right shape, what no arm can do left out of them: what every scheme sees.
+
+    * A reading further from ``state.q`` than a turn, and than the joint can have turned since one was last used, or outside
+      the joint's range, is absent, as one that is not finite. Nearer than a turn, it is the observer's to judge.
+    * A torque is what the limits leave of it; one that is not finite is the last command.
+    * A joint whose reference is not finite, or faster or further out than a joint can follow, is held where it is. What the
+      limits would leave of such a reference is as little meant, and would move the arm.
+    """
+    at, robot = state.q, config.robot
     q, qd, qdd = map(jnp.asarray, reference)
     reading, tau = map(jnp.asarray, measurement)
     names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
     for name, signal in zip(names, (q, qd, qdd, reading, tau), strict=True):
         checks.joints_first(name, signal, config.n)
     checks.same_shape(["state.q", *names], [at, q, qd, qdd, reading, tau])
-    wanted = jnp.isfinite(q) & jnp.isfinite(qd) & jnp.isfinite(qdd)
+    middle, half = (lanes.trailing_constant(bound, at) for bound in reach.angles(robot))
+    near = jnp.abs(reading - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
+    reading = jnp.where(near & (jnp.abs(reading - middle) <= half), reading, jnp.nan)
+    limit = lanes.trailing_constant(robot.torque_limit, at)
+    tau = smooth.saturate(jnp.where(jnp.isfinite(tau), tau, state.command.tau), limit)
+    slow = (jnp.abs(qd) <= reach.SPEED) & (jnp.abs(qdd) <= reach.ACCELERATION)
+    wanted = slow & (jnp.abs(q - middle) <= half)
     held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
     return held, Measurement(reading, tau)
