@@ -3,7 +3,8 @@
 A scheme is a module with
 
 * ``State``, which has ``q`` [n, ...] rad, the angle that it takes the arm to be at, ``unread`` [n, ...], ticks since a
-  reading was last used, and ``command.tau`` [n, ...] N m, its last command before the limits; ``init(config, gains, q)``; ``step(config, gains, state, reference, measurement)``,
+  reading was last used, and ``command.tau`` [n, ...] N m, its last command before the limits,
+* ``init(config, gains, q)`` and ``step(config, gains, state, reference, measurement)``,
 * ``gains_used(config)``: the names of the gains that it reads, of which tuning moves some,
 * ``DIAGNOSES``: whether it raises alarms, so that it has thresholds to set.
 

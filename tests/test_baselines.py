@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc import stages
 from jaxftc.gains import align
 from jaxftc.observer import super_twisting
+from jaxftc.observer.stage import Inputs
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import compile_robot
 from jaxftc.scenarios.faults import Sensor
@@ -315,8 +317,8 @@ def test_the_printed_super_twisting_is_the_papers(config):
     state, errors = super_twisting.State(jnp.zeros(N)), np.random.default_rng(3).normal(size=(5, N)) * 1e-3
     late = np.zeros(N)
     for e in errors:
-        inputs = super_twisting.Inputs(jnp.asarray(e), jnp.zeros(N))
-        state, psi = super_twisting.step_printed(config, gains, state, inputs)
+        inputs = Inputs(jnp.asarray(e), jnp.zeros(N), stages.of(config))
+        state, psi = super_twisting.printed(config, gains, state, inputs)
         np.testing.assert_allclose(psi, late, atol=1e-12)
         late = np.array([printed.psi_sm_eq7(x, 120.0, 20.0) for x in e])
 

@@ -17,7 +17,7 @@ from jaxftc import stages
 from jaxftc.control import sliding_mode
 from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
 from jaxftc.gains import align
-from jaxftc.observer import cascade, pi, super_twisting, takagi_sugeno
+from jaxftc.observer import cascade, pi, stage, super_twisting, takagi_sugeno
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.scenarios.scenario import CONDITIONS
@@ -45,7 +45,7 @@ class Block:
 
     def step(self, gains, state, inputs):
         axes = jax.tree.leaves(inputs)[0].ndim - 1
-        if self.module is sliding_mode:
+        if hasattr(inputs, "on"):
             inputs = inputs._replace(on=stages.of(self.config()))
         return self.module.step(self.config(), align(gains, axes), state, inputs)
 
@@ -73,9 +73,9 @@ ESTIMATE = cascade.Estimate(
     1.0, 1.0, 1e-3, takagi_sugeno.Jump(1.0, 1.0, 0.01, 0.01), 0.01, 0.02, 1.0, 0.02, 5.0, False, False
 )
 SMALL = [
-    Block("pi", pi, pi.Inputs(1e-3)),
-    Block("super-twisting-smooth", super_twisting, super_twisting.Inputs(1e-3, 1.0)),
-    Block("super-twisting-hard", super_twisting, super_twisting.Inputs(1e-3, 1.0), (("sign", "hard"),)),
+    Block("pi", pi, stage.Inputs(1e-3, 1.0, None)),
+    Block("super-twisting-smooth", super_twisting, stage.Inputs(1e-3, 1.0, None)),
+    Block("super-twisting-hard", super_twisting, stage.Inputs(1e-3, 1.0, None), (("sign", "hard"),)),
     Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0)),
     Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
     Block("alarm", alarm, alarm.Inputs(3.0, 0.02)),

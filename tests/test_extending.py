@@ -80,6 +80,52 @@ print(*tunable(config), bool(jnp.allclose(out.tau, held, atol=1e-5)))
     assert run(script) == ["baseline.kd", "True"]
 
 
+def test_an_observer_stage_is_a_module_and_a_line(house):
+    """A share of psi that follows the change of the innovation."""
+    copy, run = house
+    cascade = copy / "observer" / "cascade.py"
+    insert(
+        cascade,
+        "from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno",
+        "from jaxftc.observer import rate",
+    )
+    table = 'STAGES: dict[str, ModuleType] = {"pi": pi, "sliding": super_twisting'
+    assert cascade.read_text().count(table) == 1
+    cascade.write_text(cascade.read_text().replace(table, table + ', "rate": rate'))
+    (copy / "observer" / "rate.py").write_text(
+        """
+import jax.numpy as jnp
+from typing import NamedTuple
+from jaxftc.types import Array
+
+
+class State(NamedTuple):
+    e: Array
+
+
+def init(config, gains, q):
+    return State(jnp.zeros_like(q))
+
+
+def step(config, gains, state, inputs):
+    return State(inputs.e), 100.0 * (inputs.e - state.e)
+"""
+    )
+    script = """
+import jax, jax.numpy as jnp, jaxftc
+from benchmarks.arms import serial
+from jaxftc.robot.model import compile_robot
+config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
+gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
+state = jaxftc.init(config, gains, q)
+with jax.disable_jit():
+    after, _ = jaxftc.step(config, gains, state, jaxftc.Reference(q, 0 * q, 0 * q), jaxftc.Measurement(q + 1e-4, state.command.tau))
+e = after.observer.stages["rate"].e
+print(bool((e > 0).all()), bool(jnp.allclose(after.psi - after.observer.fuzzy.psi, 0.0)) is False)
+"""
+    assert run(script) == ["True", "True"]
+
+
 def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
     """A torque whose sign is wrong: presets draw it, and the plant gets it. What others draw does not change."""
     copy, run = house

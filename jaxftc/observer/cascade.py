@@ -8,7 +8,8 @@ which needs the inertia at the corrected angle.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
@@ -16,11 +17,13 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.numerics.barrier import store
 from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno
+from jaxftc.observer.stage import Inputs
 from jaxftc.observer.takagi_sugeno import Jump
 from jaxftc.robot import reach
 from jaxftc.stages import Stages, either
 from jaxftc.types import Array, SensorStatus
 
+STAGES: dict[str, ModuleType] = {"pi": pi, "sliding": super_twisting}  # blocks 2 and 3; block 4 looks at more
 BLIND = 1.0  # rad/s^2, by which a prediction without a reading may be wrong
 
 
@@ -28,8 +31,7 @@ class State(NamedTuple):
     """Model, stages and the readings that a jump is seen by."""
 
     arx: arx.State
-    pi: pi.State
-    sliding: super_twisting.State
+    stages: dict[str, Any]  # a state for each of STAGES
     fuzzy: takagi_sugeno.State
     e: Array  # [n, ...] rad, innovation of the last tick, its jump taken out
     q1: Array  # [n, ...] rad, q_hat one tick ago
@@ -78,8 +80,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     zero = jnp.zeros_like(q)
     return State(
         arx=arx.init(config, gains, q),
-        pi=pi.init(config, gains, q),
-        sliding=super_twisting.init(config, gains, q),
+        stages={name: stage.init(config, gains, q) for name, stage in STAGES.items()},
         fuzzy=takagi_sugeno.init(config, gains, q),
         e=zero,
         q1=q,
@@ -117,16 +118,15 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     model_reset = jnp.where(at.back & ~leap, e, reach_back)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
     y_hat, e, b = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved))
-    pi_next, psi = pi.step(config, gains, state.pi, pi.Inputs(e))
-    sliding_next, psi_sm = _sliding(config, gains, state.sliding, super_twisting.Inputs(e, jump.h_s), on)
-    psi = psi + psi_sm + state.fuzzy.psi  # Eq. (15); a stage that does not run has psi = 0
+    inputs = Inputs(e, jump.h_s, on)
+    made = {name: stage.step(config, gains, state.stages[name], inputs) for name, stage in STAGES.items()}
+    psi = sum(share for _, share in made.values()) + state.fuzzy.psi  # Eq. (15); a stage that does not run has 0
     q_hat = y - b
     fault_q = jnp.where(at.frozen, reading.q - q_hat, b)
     changed = ~at.missing & (reading.q != state.reading)
     next_state = State(
         arx=state.arx._replace(x_a=x_a),
-        pi=pi_next,
-        sliding=sliding_next,
+        stages={name: state for name, (state, _) in made.items()},
         fuzzy=state.fuzzy._replace(b=b),
         e=e,
         q1=q_hat,
@@ -200,12 +200,3 @@ def _jump(
     change = jnp.where(unused, 0.0, e - state.e)
     jump = takagi_sugeno.classify_jump(gains.observer, unexplained, change, b, reading.sensors)
     return either(on.fuzzy, jump, none)
-
-
-def _sliding(
-    config: Config, gains: Gains, state: super_twisting.State, inputs: super_twisting.Inputs, on: Stages
-) -> tuple[super_twisting.State, Array]:
-    """The super-twisting stage, in the form that runs; (state, 0) if none does."""
-    corrected = super_twisting.step(config, gains, state, inputs)
-    printed = super_twisting.step_printed(config, gains, state, inputs)
-    return either(on.sliding, either(on.printed, printed, corrected), (state, jnp.zeros_like(inputs.e)))

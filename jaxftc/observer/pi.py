@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.observer.stage import Inputs
 from jaxftc.types import Array
 
 
@@ -15,12 +16,6 @@ class State(NamedTuple):
     """psi_PI."""
 
     psi: Array  # [n, ...] rad/s^2
-
-
-class Inputs(NamedTuple):
-    """What a tick takes in."""
-
-    e: Array  # [n, ...] rad, innovation
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
