@@ -119,7 +119,8 @@ config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
 state = jaxftc.init(config, gains, q)
 with jax.disable_jit():
-    after, _ = jaxftc.step(config, gains, state, jaxftc.Reference(q, 0 * q, 0 * q), jaxftc.Measurement(q + 1e-4, state.command.tau))
+    signals = jaxftc.Reference(q, 0 * q, 0 * q), jaxftc.Measurement(q + 1e-4, state.command.tau)
+    after, _ = jaxftc.step(config, gains, state, *signals)
 e = after.observer.stages["rate"].e
 print(bool((e > 0).all()), bool(jnp.allclose(after.psi - after.observer.fuzzy.psi, 0.0)) is False)
 """

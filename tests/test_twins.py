@@ -122,7 +122,8 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
         close = {
             "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual,
             "b_next": seen.b, "h_s": seen.jump.h_s, "psi_pi_next": state.stages["pi"].psi,
-            "g_next": state.stages["sliding"].gamma, "psi_f_next": state.fuzzy.psi, "x_next": jnp.concatenate([state.arx.x_a, state.arx.x_b], axis=1),
+            "g_next": state.stages["sliding"].gamma, "psi_f_next": state.fuzzy.psi,
+            "x_next": jnp.concatenate([state.arx.x_a, state.arx.x_b], axis=1),
         }  # fmt: skip
         for name, value in close.items():
             np.testing.assert_allclose(value, want[name], rtol=1e-7, atol=1e-9, err_msg=f"{name} at tick {k}")
