@@ -118,14 +118,15 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
     A curve ends at the lowest thresholds that find the most. Below them it would bend back: an alarm that is up before the
     fault has not found it.
     """
-    figure = make_subplots(
-        2, len(FAULTY), shared_xaxes=True, vertical_spacing=0.08, subplot_titles=[f"{kind} faults" for kind in FAULTY]
-    )
+    curves = [result["roc"]["detection"] for result in found.values()]
+    kinds = [kind for kind in FAULTY if any(x is not None for curve in curves for x in curve[kind])] or list(FAULTY[:1])
+    titles = [title for kind in kinds for title in (f"{kind} faults", "")]
+    figure = make_subplots(len(kinds), 2, shared_xaxes=True, vertical_spacing=0.28 / len(kinds), subplot_titles=titles)
     for k, (scheme, result) in enumerate(found.items()):
         curve = result["roc"]
         least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
         alarms = [None if x is None else max(100 * x, least) for x in curve["false_alarm_runs"]]
-        for c, kind in enumerate(FAULTY, start=1):
+        for row, kind in enumerate(kinds, start=1):
             detection = curve["detection"][kind]
             share = [None if x is None else 100 * x for x in detection]
             late = [None if x is None else 1e3 * x for x in curve["delay_median_s"][kind]]
@@ -136,17 +137,18 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
                 "line_color": COLOURS[k % len(COLOURS)], "marker": _ringed(scale), "customdata": scale,
                 "hovertemplate": "scale %{customdata}: %{x:.2f} %, %{y}",
             }  # fmt: skip
-            figure.add_scatter(y=share[first:], name=scheme, showlegend=c == 1, **look, row=1, col=c)
-            figure.add_scatter(y=late[first:], showlegend=False, **look, row=2, col=c)
-    figure.update_yaxes(title_text="% found", row=1, col=1)
-    figure.update_yaxes(title_text="median delay, ms", row=2, col=1)
+            figure.add_scatter(y=share[first:], name=scheme, showlegend=row == 1, **look, row=row, col=1)
+            figure.add_scatter(y=late[first:], showlegend=False, **look, row=row, col=2)
+    figure.update_yaxes(title_text="% found", col=1).update_yaxes(title_text="delay, ms", rangemode="tozero", col=2)
     note = (
-        "Ringed: scale 1, the thresholds that ran. No alarm at all is drawn as half a run. A curve ends where lower "
-        "thresholds find no more, because alarms are up before the fault."
+        "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, the thresholds that ran. No "
+        "alarm at all is drawn as half a run. A curve ends where lower thresholds find no more, because alarms are up before "
+        "the fault."
     )
-    figure = finish(figure, "Each point is a scale of all thresholds", note, panels=3)
-    figure.update_xaxes(title_text="", row=1).update_xaxes(title_text="% of healthy runs with an alarm", row=2)
-    return figure.update_xaxes(LOGARITHMIC).update_layout(legend_y=1.06)
+    figure = finish(figure, "Each point is a scale of all thresholds", note, panels=len(kinds))
+    figure.update_xaxes(title_text="").update_xaxes(title_text="% false alarms", row=len(kinds))
+    decades = [10.0**e for e in range(-4, 3)]  # few enough for a phone
+    return figure.update_xaxes(LOGARITHMIC | {"tickvals": decades}).update_layout(legend_y=1.06)
 
 
 def _ringed(scales: list[float]) -> dict[str, Any]:

@@ -16,6 +16,11 @@
     const { data, layout } = JSON.parse(canvas.nextElementSibling.textContent);
     for (const trace of data) trace.visible = shows({ layout }, trace, chosen());
     if (phone) layout.dragmode = false; // a finger scrolls the page
+    const entries = new Set(data.filter((trace) => trace.name && trace.showlegend !== false).map((trace) => trace.name)).size;
+    if (canvas.clientWidth < 500 && entries > 4) {
+      layout.height += 19 * entries; // its legend is a column
+      canvas.style.height = `${layout.height}px`;
+    }
     await Plotly.newPlot(canvas, data, layout, { responsive: true, displaylogo: false, displayModeBar: phone ? false : "hover" });
     await new Promise((next) => setTimeout(next)); // the page stays usable meanwhile
   }
