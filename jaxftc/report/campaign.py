@@ -141,7 +141,7 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
             figure.add_scatter(y=late[first:], showlegend=False, **look, row=row, col=2)
     figure.update_yaxes(title_text="% found", col=1).update_yaxes(title_text="delay, ms", rangemode="tozero", col=2)
     note = (
-        "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, the thresholds that ran. No "
+        "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, what ran. No "
         "alarm at all is drawn as half a run. A curve ends where lower thresholds find no more, because alarms are up before "
         "the fault."
     )
