@@ -129,7 +129,7 @@ def test_parquet_has_every_promised_column_and_one_row_a_scenario(folder):
 
 def test_nothing_but_whole_files_is_left(folder):
     out, _ = folder
-    rows = {"manifest.toml", "gains.toml", "preset.toml", "chunk-000000.parquet"}
+    rows = {"manifest.toml", "gains.toml", "preset.toml", "SHA256SUMS", "chunk-000000.parquet"}
     assert {path.name for path in out.iterdir()} == {".jaxftc", "summary.json", "report.html"} | rows
 
 
@@ -372,7 +372,7 @@ def test_calibrate_writes_gains_that_a_campaign_takes(run, refused, tmp_path):
     np.testing.assert_allclose(gains.diagnosis.alpha_tau, list(printed["alpha_tau_nm"].values()), rtol=1e-6)
     assert (gains.diagnosis.lead == 0).all()
     assert "has no diagnosis" in refused("calibrate", "--scheme", "computed_torque", "--out", tmp_path)
-    said = run("calibrate", "--runs", 100, "--out", tmp_path, code=2).stderr  # in a process of its own
+    said = run("calibrate", "--runs", 100, "--out", tmp_path, "--force", code=2).stderr  # in a process of its own
     assert "too few" in said.splitlines()[-1] and "Traceback" not in said
     assert "diagnosis.lead must lie in [0, inf) 1/s^2" in refused("calibrate", "--lead", -1, "--out", tmp_path)
 

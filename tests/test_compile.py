@@ -232,8 +232,18 @@ def test_a_cache_that_others_can_write_to_is_not_used(tmp_path, caplog):
     folder.chmod(0o770)
     assert program_cache.open_folder(folder) is None
     assert "others can write to it" in caplog.text
+    folder.chmod(0o755)
+    assert program_cache.open_folder(folder) == folder and stat.S_IMODE(folder.stat().st_mode) == 0o700
     (tmp_path / "file").write_text("")
     assert program_cache.open_folder(tmp_path / "file" / "inside") is None
+
+
+def test_a_cache_in_which_another_user_wrote_is_not_used(tmp_path, caplog, monkeypatch):
+    folder = program_cache.open_folder(tmp_path / "own")
+    (folder / "planted").write_bytes(b"")
+    monkeypatch.setattr(program_cache, "_ours", lambda path: path.name != "planted")
+    assert program_cache.open_folder(folder) is None
+    assert f"{folder / 'planted'} belongs to another user" in caplog.text
 
 
 def test_a_relative_cache_home_is_ignored(monkeypatch):

@@ -239,9 +239,11 @@ ERRORS = {
     "[sensor.bias]\nsize = 1\nunit = 1": "sensor.bias.unit: must be a text, got 1",
     "[sensor.bias]\nsize = 1\nsign = 'randm'": "sensor.bias.sign: must be one of 'as_drawn', 'random', got 'randm'; "
     "did you mean 'random'?",
-    "[joints]\nat_once = 0": "joints.at_once: must be at least 1, got 0; shares.healthy is for runs without a fault",
+    "[joints]\nat_once = 0": "joints.at_once: must be an integer of 1 to 1000, got 0; shares.healthy is for runs without a fault",
     "[joints]\nat_once = 1.5": "joints.at_once: must be an integer, got 1.5",
     "[joints]\nat_once = true": "joints.at_once: must be an integer, got True",
+    "[joints]\nat_once = 10000000000000000000000": "joints.at_once: must be an integer of 1 to 1000, got 10000000000000000000000; "
+    "shares.healthy is for runs without a fault",
     "[joints]\nallowed = [0, 1]": "joints.allowed: must be different joints, counted from 1, got [0, 1]",
     "[joints]\nallowed = [1, 1]": "joints.allowed: must be different joints, counted from 1, got [1, 1]",
     "[joints]\nallowed = []": "joints.allowed: must be different joints, counted from 1, got []",

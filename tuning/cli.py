@@ -81,9 +81,7 @@ class Tune(common.Options):
         objective = terms.weighted(terms.OBJECTIVE, numbers("--weight", self.weight))
         limits = numbers("--limit", self.limit)
         terms.check_terms("limit", objective, limits)
-        checks.integer(
-            "--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on", 1_000_000
-        )
+        checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
         config = Config(
             common.load_arm(self),

@@ -71,11 +71,12 @@ class Comparison(NamedTuple):
         By the 95 % interval of its ratio, and if the objective feels it: by more than ``FELT`` of what it was.
         """
         if name == "objective":
-            ratio, change = self.ratio, np.subtract(*self.objective[::-1])
+            before, after = self.objective
+            ratio, change = self.ratio, after - before
         else:
             k = self.names.index(name)
             ratio, change = self.term_ratio(name), self.weights[k] * (self.after[k].mean() - self.before[k].mean())
-        if (ratio.low <= 1 and ratio.high >= 1) or abs(change) <= FELT * self.objective[0]:
+        if ratio.low <= 1 <= ratio.high or abs(change) <= FELT * self.objective[0]:
             return "same"
         return "worse" if change > 0 else "better"
 

@@ -82,8 +82,8 @@ def unaltered(folder: Path) -> None:
 def _as_written(path: Path) -> None:
     if not checksums.agrees(path):
         raise ValueError(
-            f"{path} is not the file that this campaign began with, by its checksum in {checksums.NAME}; put it back, or "
-            "begin anew with another --out"
+            f"{path} is not the file that this campaign began with; put it back, or begin anew with --force or another "
+            f"--out ({checksums.NAME} has its checksum)"
         )
 
 

@@ -59,15 +59,11 @@ class Calibrate(Laws):
         job = self.job(self.scheme)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
+        share = {"false_alarms": self.false_alarms, "confidence": self.confidence}
+        logs = [read(path, job.config) for path in self.logs]
         with common.folder(self, "calibrate") as folder:
-            if self.logs:
-                found = calibrate_on_logs(
-                    job.config,
-                    job.gains,
-                    [read(path, job.config) for path in self.logs],
-                    false_alarms=self.false_alarms,
-                    confidence=self.confidence,
-                )
+            if logs:
+                found = calibrate_on_logs(job.config, job.gains, logs, **share)
             else:
                 with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
                     found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)

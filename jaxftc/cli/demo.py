@@ -27,8 +27,9 @@ class Demo(common.Options):
         robot = common.load_arm(self)
         config = Config(robot, engine=self.engine)
         gains = common.load_or_default(self, config)
+        key = common.key(self)
         with common.folder(self, "demo") as folder:
-            experiment = paper.run(config, gains, common.key(self))
+            experiment = paper.run(config, gains, key)
             ran = record.of(self, config)
             text = common.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
             write_text(folder / "report.html", demo_page(config, gains, experiment, ran))

@@ -1,8 +1,8 @@
 """``jaxftc``: finds the commands, runs one, and turns a refusal into one line and exit code 2.
 
 A command is a dataclass whose fields are its options and whose ``run`` does the work. Other packages add theirs through the
-entry-point group ``jaxftc.commands``. Nothing that takes time is imported before ``main`` runs, so that a signal always
-finds who answers it.
+entry-point group ``jaxftc.commands``. Nothing that takes time is imported before ``main`` runs, so that a signal is always
+answered.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ def parse(arguments: list[str] | None = None) -> Any:
 
 def main(arguments: list[str] | None = None) -> None:
     """Entry point of the console script."""
+    _open_streams()
     with at_once():
-        _open_streams()
         if (sys.argv[1:] if arguments is None else arguments) == ["--version"]:
             print(f"jaxftc {__version__}")
             return

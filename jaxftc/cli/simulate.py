@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import tyro
 
@@ -15,8 +17,18 @@ from jaxftc.io.files import write_text
 if TYPE_CHECKING:
     import numpy as np
 
+    from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
     from jaxftc.evaluation.metrics import Metrics
+
+
+class Run(NamedTuple):
+    """A run for the table, the trace file and the page."""
+
+    config: Config
+    trace: dict[str, np.ndarray]  # columns
+    title: str
+    more: dict[str, Any]  # for result.json
 
 
 @dataclasses.dataclass
@@ -64,8 +76,9 @@ class Simulate(common.Options):
         from jaxftc.io import trace_file
         from jaxftc.report.figures import trace_page
 
+        run = self._again() if from_campaign else self._paper()
         with common.folder(self, "simulate") as folder:
-            config, trace, title, more = self._again() if from_campaign else self._paper()
+            config, trace, title, more = run()
             diverged = from_campaign and more["row"]["diverged"]
             result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
             if from_campaign and not diverged:  # as the campaign has it, which knows the scenario and not only its signals
@@ -86,8 +99,8 @@ class Simulate(common.Options):
         if self.json:
             print(text)
 
-    def _paper(self) -> tuple[Config, dict[str, np.ndarray], str, dict[str, Any]]:
-        """One of the paper's conditions: config, columns of its trace, title, nothing more."""
+    def _paper(self) -> Callable[[], Run]:
+        """One of the paper's conditions, checked and ready to run."""
         from jaxftc import Config, paper_scenario, simulate
         from jaxftc.evaluation import metrics
 
@@ -106,16 +119,14 @@ class Simulate(common.Options):
         gains = common.load_or_default(self, config)
         scenario = paper_scenario(self.scenario, config, torque=self.torque, angle=math.radians(self.angle))
         title = f"{self.scenario}: {self.observer.upper()} observer, {self.control.upper()} control"
-        return config, metrics.columns(simulate(config, gains, scenario, common.key(self))), title, {}
+        key = common.key(self)
+        return lambda: Run(config, metrics.columns(simulate(config, gains, scenario, key)), title, {})
 
-    def _again(self) -> tuple[Config, dict[str, np.ndarray], str, dict[str, Any]]:
-        """A scenario of a campaign, by the campaign's own program; its row, and whether the stored one is the same."""
-        import numpy as np
-
+    def _again(self) -> Callable[[], Run]:
+        """A scenario of a campaign, checked and ready to run."""
         from jaxftc import Config
         from jaxftc.campaigns import store
-        from jaxftc.campaigns.spec import again, load
-        from jaxftc.evaluation import metrics
+        from jaxftc.campaigns.spec import load
 
         assert self.campaign is not None and self.id is not None
         free = ("campaign", "id", "out", "json", "cache", "force", "words")
@@ -130,15 +141,25 @@ class Simulate(common.Options):
         options = dataclasses.replace(self, robot=asked["robot"], coulomb=asked["coulomb"] and asked["robot"] == "puma560")
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
-        row, trace = again(job, self.id)
         stored = store.read_rows(self.campaign, self.id + 1, first=self.id)
-        same = None
-        if len(stored.get("scenario_id", ())):
-            same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())
-        values = {name: column[0].item() for name, column in row.items()}
-        clean = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
         title = f"scenario {self.id} of {self.campaign}, scheme {asked['scheme']}"
-        return job.config, metrics.columns(trace), title, {"row": clean, "same_as_stored": same}
+        return functools.partial(replayed, job, self.id, stored, title)
+
+
+def replayed(job: Job, scenario_id: int, stored: dict[str, np.ndarray], title: str) -> Run:
+    """A scenario of a campaign, by the campaign's own program; its row, and whether the stored one is the same."""
+    import numpy as np
+
+    from jaxftc.campaigns.spec import again
+    from jaxftc.evaluation import metrics
+
+    row, trace = again(job, scenario_id)
+    same = None
+    if len(stored.get("scenario_id", ())):
+        same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())
+    values = {name: column[0].item() for name, column in row.items()}
+    clean = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+    return Run(job.config, metrics.columns(trace), title, {"row": clean, "same_as_stored": same})
 
 
 def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> dict[str, Any]:

@@ -42,18 +42,29 @@ def user_folder() -> Path:
 
 
 def open_folder(path: Path) -> Path | None:
-    """A cache folder of our own, made if need be; None, with a warning, where others can write to it or nobody can."""
+    """A cache folder that nobody else can enter, made if need be; None, with a warning, where others may have written.
+
+    What is in it runs as the user, so nothing is read from a folder that was not the user's alone.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)
-        status = path.stat()
-        ours = not hasattr(os, "getuid") or status.st_uid == os.getuid()
-        if ours and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        others = stat.S_IWGRP | stat.S_IWOTH
+        foreign = [entry for entry in (path.resolve(), *path.iterdir()) if not _ours(entry)]
+        if not foreign and not path.stat().st_mode & others:
+            path.chmod(0o700)
             return path
-        why = "others can write to it; chmod 700 mends that" if ours else "it belongs to another user"
+        if foreign:
+            why = f"{foreign[0]} belongs to another user; remove it"
+        else:
+            why = "others can write to it; look at what is in it, then chmod 700 it"
     except OSError as error:
         why = str(error)
     _log.warning("compiled programs are not cached in %s: %s", path, why)
     return None
+
+
+def _ours(path: Path) -> bool:
+    return not hasattr(os, "getuid") or path.lstat().st_uid == os.getuid()
 
 
 def program(

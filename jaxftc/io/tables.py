@@ -6,6 +6,7 @@ server. Here it is a file.
 
 from __future__ import annotations
 
+import functools
 import glob
 import os
 from collections.abc import Iterable
@@ -22,11 +23,17 @@ PARQUET = "read_parquet($files, hive_partitioning = false)"  # of ``names``
 READERS = {".parquet": PARQUET, ".csv": "read_csv($files, hive_partitioning = false)"}
 
 
-def connect() -> duckdb.DuckDBPyConnection:
-    """A connection that loads nothing from elsewhere."""
+@functools.cache
+def _database() -> duckdb.DuckDBPyConnection:
+    """One in memory for all connections of the process; it loads nothing from elsewhere."""
     import duckdb
 
     return duckdb.connect(config={"autoinstall_known_extensions": False, "autoload_known_extensions": False})
+
+
+def connect() -> duckdb.DuckDBPyConnection:
+    """A connection of one's own."""
+    return _database().cursor()
 
 
 def names(paths: Iterable[Path]) -> list[str]:

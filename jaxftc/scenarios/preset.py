@@ -18,6 +18,7 @@ from jaxftc.scenarios.faults import ActuatorFaults, AngleBias, SensorFaults, Tor
 from jaxftc.scenarios.preset_error import PresetError, is_integer
 from jaxftc.scenarios.scenario import CONDITIONS, ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
 
+MOST_JOINTS = 1000  # no arm has as many
 Whole = Annotated[int, Strict()]
 
 
@@ -70,15 +71,18 @@ class Joints(Table):
     allowed: tuple[Whole, ...] | None = None  # counted from 1; all if None
 
     def __post_init__(self) -> None:
-        if not is_integer(self.at_once) or self.at_once < 1:
+        if not is_integer(self.at_once) or not 1 <= self.at_once <= MOST_JOINTS:
             raise PresetError(
-                "at_once", f"must be at least 1, got {self.at_once!r}; shares.healthy is for runs without a fault"
+                "at_once",
+                f"must be an integer of 1 to {MOST_JOINTS}, got {self.at_once!r}; "
+                "shares.healthy is for runs without a fault",
             )
         if self.allowed is None:
             return
         if not isinstance(self.allowed, tuple) or not all(map(is_integer, self.allowed)):
             raise PresetError("allowed", f"must be a tuple of integers, got {self.allowed!r}")
-        if min(self.allowed, default=0) < 1 or len(set(self.allowed)) < len(self.allowed):
+        known = self.allowed and all(1 <= joint <= MOST_JOINTS for joint in self.allowed)
+        if not known or len(set(self.allowed)) < len(self.allowed):
             raise PresetError("allowed", f"must be different joints, counted from 1, got {list(self.allowed)}")
         if self.at_once > len(self.allowed):
             raise PresetError(
