@@ -1,10 +1,10 @@
 """The arm in a robot file: one serial chain of hinges, everything else welded where it stands, its mass kept.
 
-Which chain, without ``tip``: from the base outward, past every joint that has to be welded (locked, mimic, sliding). Where the
-tree forks into branches that move, the arm goes on into the one with the most hinges, if it has at least as many as there were
-before the fork; branches with fewer are fingers, a head or wheels. Of several branches with equally many the same holds: they
-are fingers, or, with more hinges than came before, several arms, and ``tip`` must say which. With ``tip``, a link, site or joint,
-the arm is the chain from the base to there.
+Which chain, without ``tip``: from the base outward, past every joint that has to be welded (locked, mimic, sliding).
+Where the tree forks into branches that move, the arm goes on into the one with the most hinges, if it has at least as
+many as there were before the fork; branches with fewer are fingers, a head or wheels. Several branches with equally many
+are fingers, too, or, with more hinges than came before, several arms, and ``tip`` must say which. With ``tip``, a link,
+site or joint, the arm is the chain from the base to there.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.robot.tree import HINGE, SLIDE, Body, Joint, Tree, point_inertia, turn
+from jaxftc.robot.tree import HINGE, SLIDE, Joint, Place, Tree, point_inertia, turn
 
 TOOL = "tool"  # the site where a payload hangs
-TOOLS = ("tool0", "tool", "tcp", "tool_center_point", "ee_link", "ee", "end_effector_link", "end_effector", "grasp_link",
-         "attachment_site", "flange", "ee_gripper_link", "gripper_link", "gripper", "hand")  # fmt: skip # links and sites that
-# are one, the likeliest first; also behind a prefix
+TOOLS = (  # links and sites that are one, the likeliest first; also behind a prefix
+    *("tool0", "tool", "tcp", "tool_center_point", "ee_link", "ee", "end_effector_link", "end_effector", "grasp_link"),
+    *("attachment_site", "flange", "ee_gripper_link", "gripper_link", "gripper", "hand"),
+)
 JAWS = ("gripper", "jaw", "finger", "claw", "hand")
 
 
@@ -79,7 +80,9 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
     path = _path(tree, last)
     arm = [joint for b in path for joint in tree.bodies[b].joints if ends.counts(joint)]
     if not arm:
-        raise ValueError(f"has no hinge on the way to {tip!r}; give the last link of the arm" if tip else _no_hinge(joints, lock))
+        raise ValueError(
+            f"has no hinge on the way to {tip!r}; give the last link of the arm" if tip else _no_hinge(joints, lock)
+        )
     _refuse_within(tree, path, arm, lock)
     hinges = {joint.name: k for k, joint in enumerate(arm)}
     values = {name: _value(joint, joints, lock) for name, joint in joints.items()}
@@ -90,13 +93,17 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
     parts = [[b for b, link in enumerate(link_of) if link == j] for j in range(len(arm))]
     links = _links(tree, parts, poses, frames)
     names = tuple(_link_name(tree, parts[j], joint) for j, joint in enumerate(arm))
-    tool_body, position, tool = _tool(tree, tip, link_of, len(arm) - 1, last)
-    at = frames[-1].rotation.T @ (poses[tool_body].moved(np.eye(3), position).position - frames[-1].position)
-    payload = Link(np.eye(3), np.zeros(3), 1.0, _clean(at), _clean(point_inertia(at)))
+    place, tool = _tool(tree, tip, link_of, len(arm) - 1, last)
+    frame = poses[place.body].moved(place.rotation, place.position)
+    back = frames[-1].rotation.T
+    at = back @ (frame.position - frames[-1].position)
+    payload = Link(_clean(back @ frame.rotation), np.zeros(3), 1.0, _clean(at), _clean(point_inertia(at)))
     notes = _welded(tree, hinges, values, lock, link_of, names) + [r for joint in arm for r in joint.remarks]
     notes += _massless(tree, parts)
     if tip is None and any(word in arm[-1].name.lower() for word in JAWS):
-        notes.append(f"the last joint {arm[-1].name!r} may be a gripper's, not the arm's; give the arm's last link as tip if so")
+        notes.append(
+            f"the last joint {arm[-1].name!r} may be a gripper's, not the arm's; give the arm's last link as tip if so"
+        )
     return Chain(links, payload, tuple(arm), names, tool, tree.gravity, tuple(notes), tuple(_odd(tree, link_of)))
 
 
@@ -153,7 +160,7 @@ def _no_hinge(joints: dict[str, Joint], lock: dict[str, float]) -> str:
 
 def _tip_body(tree: Tree, tip: str) -> int:
     names = {joint.name: b for b, body in enumerate(tree.bodies) for joint in body.joints}
-    names |= {name: b for name, (b, _) in tree.sites.items()} | {body.name: b for b, body in enumerate(tree.bodies)}
+    names |= {name: at.body for name, at in tree.sites.items()} | {body.name: b for b, body in enumerate(tree.bodies)}
     checks.one_of("tip", tip, list(names))
     return names[tip]
 
@@ -176,8 +183,10 @@ def _refuse_within(tree: Tree, path: list[int], arm: list[Joint], lock: dict[str
                 begun = True
                 left.discard(joint.name)
                 if joint.spring:
-                    raise ValueError(f"joint {joint.name!r} has a spring (stiffness), which is not modelled here; remove it, or "
-                                     "add its torque to the command")  # fmt: skip
+                    raise ValueError(
+                        f"joint {joint.name!r} has a spring (stiffness), which is not modelled here; remove it, or add its "
+                        "torque to the command"
+                    )
             elif joint.name not in lock and joint.kind != HINGE and (joint.kind != SLIDE or (begun and left)):
                 raise ValueError(
                     f"joint {joint.name!r} is a {joint.kind} joint; only hinges are supported, so weld it: "
@@ -200,9 +209,7 @@ def _value(joint: Joint, joints: dict[str, Joint], lock: dict[str, float]) -> fl
     return joint.zero + offset + factor * (lock.get(other, leader.zero) - leader.zero)
 
 
-def _kinematics(
-    tree: Tree, hinges: dict[str, int], values: dict[str, float]
-) -> tuple[list[Pose], list[Pose], list[int]]:
+def _kinematics(tree: Tree, hinges: dict[str, int], values: dict[str, float]) -> tuple[list[Pose], list[Pose], list[int]]:
     """Poses of all bodies with the arm as it is drawn, frames of the hinges, and the hinge that moves each body, or -1."""
     poses: list[Pose] = []
     frames: list[Pose] = [Pose(np.eye(3), np.zeros(3))] * len(hinges)
@@ -265,27 +272,32 @@ def _link_name(tree: Tree, parts: list[int], joint: Joint) -> str:
     return own or f"{joint.name}_link"
 
 
-def _tool(tree: Tree, tip: str | None, link_of: list[int], link: int, last: int) -> tuple[int, np.ndarray, str]:
-    """Body, position in it and description of the point where a payload hangs."""
-    named = {body.name: (b, np.zeros(3)) for b, body in enumerate(tree.bodies)} | tree.sites
-    if tip in named:
-        return *named[tip], f"the tip {tip!r}"
+def _tool(tree: Tree, tip: str | None, link_of: list[int], link: int, last: int) -> tuple[Place, str]:
+    """Where a payload hangs, and that in words."""
+    bodies = {body.name: Place(b, np.zeros(3), np.eye(3)) for b, body in enumerate(tree.bodies)}
+    for named in (bodies, tree.sites):
+        if tip in named:
+            return named[tip], f"the tip {tip!r}"
     if TOOL in tree.sites:
-        b, position = tree.sites[TOOL]
-        if b < 0 or link_of[b] != link:
-            raise ValueError("must have its site 'tool' on the last link, where a payload hangs; move it there")
-        return b, position, "the site 'tool'"
-    carried = {name: at for name, at in named.items() if at[0] >= 0 and link_of[at[0]] == link and not tree.bodies[at[0]].joints}
-    carried |= {name: at for name, at in tree.sites.items() if at[0] >= 0 and link_of[at[0]] == link}
+        if tree.sites[TOOL].body < 0 or link_of[tree.sites[TOOL].body] != link:
+            raise ValueError("the site 'tool' must sit on the last link, where a payload hangs; move it there")
+        return tree.sites[TOOL], "the site 'tool'"
+    fixed = {name: at for name, at in bodies.items() if not tree.bodies[at.body].joints} | tree.sites
+    carried = {name: at for name, at in fixed.items() if at.body >= 0 and link_of[at.body] == link}
     for wanted in TOOLS:
         for name, at in carried.items():
             if name.lower() == wanted or name.lower().endswith(("_" + wanted, "-" + wanted, "/" + wanted)):
-                return *at, repr(name)
-    return last, np.zeros(3), f"the origin of {tree.bodies[last].name!r}"
+                return at, repr(name)
+    return bodies[tree.bodies[last].name], f"the origin of {tree.bodies[last].name!r}"
 
 
 def _welded(
-    tree: Tree, hinges: dict[str, int], values: dict[str, float], lock: dict[str, float], link_of: list[int], names: tuple[str, ...]
+    tree: Tree,
+    hinges: dict[str, int],
+    values: dict[str, float],
+    lock: dict[str, float],
+    link_of: list[int],
+    names: tuple[str, ...],
 ) -> list[str]:
     """One line for each joint that is welded."""
     lines = []
@@ -340,10 +352,9 @@ def oddity(mass: float, inertia: np.ndarray) -> str:
     if moments[0] < -slack:
         return f"has an inertia that no body can have: principal moments {said} kg m^2, the least below zero"
     if moments[0] + moments[1] < moments[2] - slack:
-        return f"has an inertia that no body can have: principal moments {said} kg m^2, the largest above the sum of the others"
+        return (
+            f"has an inertia that no body can have: principal moments {said} kg m^2, the largest above the sum of the others"
+        )
     if mass == 0 and moments[2] > slack:
         return f"has an inertia and no mass: principal moments {said} kg m^2"
     return ""
-
-
-__all__ = ["TOOL", "Body", "Chain", "Link", "oddity", "pick"]

@@ -11,11 +11,24 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from jaxftc.robot.tree import HINGE, SLIDE, Body, Joint, Tree
+from jaxftc.robot.tree import HINGE, SLIDE, Body, Joint, Place, Tree
 
 KINDS = {int(mujoco.mjtJoint.mjJNT_HINGE): HINGE, int(mujoco.mjtJoint.mjJNT_SLIDE): SLIDE}
 JOINT_DRIVES = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-IDLE = ("keys", "sensors", "tuples", "texts", "pairs", "excludes", "skins", "flexes", "equalities", "tendons", "cameras", "lights")
+IDLE = (
+    "keys",
+    "sensors",
+    "tuples",
+    "texts",
+    "pairs",
+    "excludes",
+    "skins",
+    "flexes",
+    "equalities",
+    "tendons",
+    "cameras",
+    "lights",
+)
 
 
 def read(spec: mujoco.MjSpec) -> Tree:
@@ -24,9 +37,7 @@ def read(spec: mujoco.MjSpec) -> Tree:
     Raises:
         ValueError: MuJoCo cannot compile it, or it holds what is not modelled here.
     """
-    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints)):
-        for number, element in enumerate(elements, 1):
-            element.name = element.name or f"{kind}{number}"
+    name_all(spec)
     follows = {
         e.name1: (e.name2, float(e.data[1]), float(e.data[0]))
         for e in spec.equalities
@@ -42,9 +53,9 @@ def read(spec: mujoco.MjSpec) -> Tree:
     except ValueError as error:
         raise ValueError(f"does not compile: {error}") from error
     if model.opt.density or model.opt.viscosity:
-        raise ValueError("has air or water (option density, viscosity), which is not modelled here; remove it")
+        raise ValueError("air or water (option density, viscosity) is not modelled here; remove it")
     if np.any(model.jnt_stiffnesspoly) or np.any(model.dof_dampingpoly):
-        raise ValueError("has springs or damping of higher order, which are not modelled here; give one number for each")
+        raise ValueError("springs or damping of higher order are not modelled here; give one number for each")
     drives = _drives(model)
     bodies = [_body(model, b, follows, drives) for b in range(1, model.nbody)]
     for k, body in enumerate(bodies):
@@ -55,11 +66,18 @@ def read(spec: mujoco.MjSpec) -> Tree:
         elif body.name in lost:
             bodies[k] = body._replace(refused=lost[body.name])
     sites = {
-        model.site(s).name: (int(model.site_bodyid[s]) - 1, model.site_pos[s].copy())
+        model.site(s).name: Place(int(model.site_bodyid[s]) - 1, model.site_pos[s].copy(), _rotation(model.site_quat[s]))
         for s in range(model.nsite)
         if model.site(s).name
     }
     return Tree(tuple(bodies), sites, model.opt.gravity.copy())
+
+
+def name_all(spec: mujoco.MjSpec) -> None:
+    """Give bodies and joints without a name their number."""
+    for kind, elements in (("body", spec.bodies[1:]), ("joint", spec.joints)):
+        for number, element in enumerate(elements, 1):
+            element.name = element.name or f"{kind}{number}"
 
 
 def _take_out(spec: mujoco.MjSpec, by_shape: bool) -> None:
@@ -207,7 +225,9 @@ def _drives(model: mujoco.MjModel) -> list[dict[str, Any]]:
         if model.actuator_forcelimited[a]:
             _limit(name, drives[j], gear, model.actuator_forcerange[a], "forcerange")
         if model.actuator_ctrllimited[a] and model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE:
-            _limit(name, drives[j], gear * abs(float(model.actuator_gainprm[a, 0])), model.actuator_ctrlrange[a], "ctrlrange")
+            _limit(
+                name, drives[j], gear * abs(float(model.actuator_gainprm[a, 0])), model.actuator_ctrlrange[a], "ctrlrange"
+            )
     return drives
 
 

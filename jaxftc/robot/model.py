@@ -25,6 +25,10 @@ from jaxftc.robot.tree import Tree, point_inertia
 
 PAYLOAD = "jaxftc_payload"  # massless body at the tool, so that a payload is one mass leaf in both engines
 ARM_FILE = "arm.toml"
+BARE = (
+    "the file gives no motor inertia (armature) and no friction for any joint: light joints are accelerated as no real one "
+    "is, and faults may throw the arm; give both in the file or in an arm.toml"
+)
 NOT_NEGATIVE = ("armature", "damping_positive", "damping_negative", "coulomb_positive", "coulomb_negative")
 POSITIVE = ("torque_limit", "speed_limit")
 
@@ -43,7 +47,6 @@ class Robot:
 
     name: str
     mj_model: mujoco.MjModel = dataclasses.field(repr=False)  # the chain alone, a body a hinge, made of the numbers below
-    mjcf: str = dataclasses.field(repr=False)
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...] = dataclasses.field(repr=False)  # the body that each hinge moves
     links: tuple[Link, ...] = dataclasses.field(repr=False)  # with everything that is welded to them
@@ -63,7 +66,9 @@ class Robot:
     speed_limit: np.ndarray  # [n] rad/s, infinite where the model gives none
     fingerprint: str
     tool: str = dataclasses.field(default="", repr=False)  # where a payload hangs, in words
-    notes: tuple[str, ...] = dataclasses.field(default=(), repr=False)  # what was welded, left out or a placeholder, a line each
+    notes: tuple[str, ...] = dataclasses.field(
+        default=(), repr=False
+    )  # what was welded, left out or a placeholder, a line each
     cautions: tuple[str, ...] = dataclasses.field(default=(), repr=False)  # what makes results doubtful, a line each
     source: Source | None = dataclasses.field(default=None, repr=False)  # None for the built-in arm
 
@@ -71,6 +76,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    @property
+    def mjcf(self) -> str:
+        """The chain as MJCF text."""
+        return mujoco_spec(self).to_xml()
 
     @functools.cached_property
     def damping(self) -> np.ndarray:
@@ -92,7 +102,12 @@ class Robot:
         given = {name: getattr(self, name) for name in _GIVEN}
         for name in numbers:
             checks.one_of("number of a robot", name, tuple(given))
-        return _assemble(**given | numbers, tensors=self.cautions[:-1] if self.frictionless else self.cautions)
+        tensors = tuple(caution for caution in self.cautions if caution != BARE)
+        for name, link, before in zip(self.link_names, numbers.get("links", self.links), self.links, strict=True):
+            mass, _, inertia, _ = _inertial(link)
+            text = "" if link is before else chain.oddity(mass, inertia)
+            tensors += (f"link {name!r} {text}",) if text else ()
+        return _assemble(**given | numbers, tensors=tensors)
 
     @property
     def frictionless(self) -> bool:
@@ -106,20 +121,20 @@ class Robot:
         return isinstance(other, Robot) and other.fingerprint == self.fingerprint
 
 
-_MADE = ("mj_model", "mjcf", "body_link", "fingerprint", "cautions")
+_MADE = ("mj_model", "body_link", "fingerprint", "cautions")
 _GIVEN = tuple(field.name for field in dataclasses.fields(Robot) if field.name not in _MADE)
 
 
 def load_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> Robot:
     """Read a serial arm of hinges from an MJCF or URDF file, or from an arm's own file (``arm.toml``, or its folder).
 
-    Joints beyond the arm (fingers, heads, other branches, mimic joints) are welded where they stand, and their mass is kept.
-    Without ``tip`` the arm goes from the base into the branch with the most hinges and ends where the branches that follow have
-    fewer hinges than it has itself. Shapes are not opened where inertials are given, so meshes may be missing. A payload hangs at
-    ``tip``, else at a site ``tool``, a link such as ``tool0``, ``ee_link`` or ``flange``, or the last link's origin. Joint
-    attribute ``user`` of an MJCF gives the Coulomb torques for positive and negative speed; without it, ``frictionloss`` serves
-    for both. What was welded or is a placeholder stands in ``notes`` of the robot; what makes results doubtful in ``cautions``,
-    and is also a warning.
+    Joints beyond the arm (fingers, heads, other branches, mimic joints) are welded where they stand, and their mass is
+    kept. Without ``tip`` the arm goes from the base into the branch with the most hinges and ends where the branches that
+    follow have fewer hinges than it has itself. Shapes are not opened where inertials are given, so meshes may be missing.
+    A payload hangs at ``tip``, else at a site ``tool``, a link such as ``tool0``, ``ee_link`` or ``flange``, or the last
+    link's origin. Joint attribute ``user`` of an MJCF gives the Coulomb torques for positive and negative speed; without
+    it, ``frictionloss`` serves for both. What was welded or is a placeholder stands in ``notes`` of the robot, what makes
+    results doubtful in ``cautions``; a link that no body can be is a warning, too.
 
     Args:
         path: The file.
@@ -133,9 +148,15 @@ def load_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, f
         ValueError: the file is not a serial arm of hinges, or holds numbers that no arm can have.
     """
     robot = read_robot(path, tip=tip, lock=lock)
-    for caution in robot.cautions:
-        warnings.warn(f"{robot.name}: {caution}", stacklevel=2)
+    warn(robot)
     return robot
+
+
+def warn(robot: Robot) -> None:
+    """A warning for each link that no body can be, at the caller of the function that calls this."""
+    for caution in robot.cautions:
+        if caution != BARE:
+            warnings.warn(f"{robot.name}: {caution}", stacklevel=3)
 
 
 def read_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> Robot:
@@ -174,10 +195,10 @@ def _tree(path: Path) -> Tree:
     if root.tag != "mujoco":
         raise ValueError(f"begins with <{root.tag}>; an MJCF begins with <mujoco>, a URDF with <robot>")
     try:
-        return mjcf.read(mujoco.MjSpec.from_file(str(path)))
+        spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        said = str(error)
-        raise ValueError(said if said.startswith(("does not", "has ")) else f"does not compile: {said}") from error
+        raise ValueError(f"does not compile: {error}") from error
+    return mjcf.read(spec)
 
 
 def _from_chain(name: str, found: Chain, source: Source | None) -> Robot:
@@ -217,14 +238,10 @@ def _assemble(*, tensors: tuple[str, ...], **given: Any) -> Robot:
         given[name] = _checked(name, given[name], given["joint_names"])
     checks.finite("gravity", given["gravity"], "it is in m/s^2, such as 0 0 -9.81")
     _refuse_singular(given, tensors)
-    robot = Robot(**given, mj_model=None, mjcf="", body_link=np.zeros(0), fingerprint=_fingerprint(given))  # pyright: ignore[reportArgumentType]
-    model, text = _mujoco(robot)
-    bare = ()
-    if robot.frictionless:
-        bare = ("the file gives no motor inertia (armature) and no friction for any joint: light joints are accelerated as no "
-                "real one is, and faults may throw the arm; give both in the file or in an arm.toml",)  # fmt: skip
+    robot = Robot(**given, mj_model=None, body_link=np.zeros(0), fingerprint=_fingerprint(given))  # pyright: ignore[reportArgumentType]
+    bare = (BARE,) if robot.frictionless else ()
     body_link = np.concatenate([[-1], np.arange(robot.n), [robot.n - 1]]).astype(np.int32)
-    made = {"mj_model": model, "mjcf": text, "body_link": body_link, "cautions": (*tensors, *bare)}
+    made = {"mj_model": _mujoco(robot), "body_link": body_link, "cautions": (*tensors, *bare)}
     return dataclasses.replace(robot, **made)
 
 
@@ -255,11 +272,15 @@ def _refuse_singular(given: dict[str, Any], tensors: tuple[str, ...]) -> None:
     if diagonal.min() <= 1e-12:
         j = int(np.argmin(diagonal.min(0)))
         blame.append(f"joint {joints[j]!r} moves an inertia of {diagonal.min():.3g} kg m^2, which must be above zero")
-        raise ValueError(f"{'; '.join(blame)}; give link {names[j]!r} and what follows mass and inertia, or the joint an armature")
+        raise ValueError(
+            f"{'; '.join(blame)}; give link {names[j]!r} and what follows mass and inertia, or the joint an armature"
+        )
     scale = np.sqrt(diagonal)
     least = np.linalg.eigvalsh(matrices / scale[:, :, None] / scale[:, None, :]).min()
     if least < 1e-9:
-        blame.append(f"the inertia matrix M(q) has the eigenvalue {least:.3g} of its diagonal's size, which must be above zero")
+        blame.append(
+            f"the inertia matrix M(q) has the eigenvalue {least:.3g} of its diagonal's size, which must be above zero"
+        )
         raise ValueError(f"{'; '.join(blame)}; check the masses and inertias")
 
 
@@ -299,20 +320,32 @@ def _fingerprint(given: dict[str, Any]) -> str:
     return hashlib.sha256(repr(rounded).encode()).hexdigest()[:16]
 
 
-def _mujoco(robot: Robot) -> tuple[mujoco.MjModel, str]:
-    """A body and a motor for each hinge, and the payload's body at the tool.
+def _mujoco(robot: Robot) -> mujoco.MjModel:
+    """The compiled model; a link that no body can be is refused by the compiler, so it is written over another."""
+    model = mujoco_spec(robot).compile()
+    odd = [(j, *inertial[:3]) for j, inertial in enumerate(map(_inertial, robot.links)) if not inertial[3]]
+    for j, mass, com, inertia in odd:
+        moments, axes = np.linalg.eigh(inertia)
+        axes = axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
+        model.body_mass[j + 1], model.body_ipos[j + 1], model.body_inertia[j + 1] = mass, com, moments
+        model.body_iquat[j + 1] = _quaternion(axes)
+    if odd:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
 
-    MuJoCo's compiler refuses a link that no body can be; such a one is written over another that it accepts.
-    """
+
+def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
+    """A body and a motor for each hinge, the site ``tool`` and the payload's body at the tool."""
     spec = mujoco.MjSpec()
     spec.modelname, spec.compiler.degree, spec.option.gravity = robot.name, False, robot.gravity
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    body, inertials = spec.worldbody, [_inertial(link) for link in robot.links]
+    body = spec.worldbody
     for j, link in enumerate(robot.links):
-        mass, com, inertia, legal = inertials[j]
+        mass, com, inertia, legal = _inertial(link)
         full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-        inertial = {"mass": mass, "ipos": com, "fullinertia": full} if legal else {"mass": 1.0, "inertia": np.ones(3)}
+        inertial = {"fullinertia": full} if legal else {"inertia": np.full(3, 1e-3)}
+        inertial |= {"mass": mass if mass > 1e-12 else 1.0, "ipos": com}
         body = body.add_body(
             name=robot.link_names[j], pos=link.offset, quat=_quaternion(link.rotation), explicitinertial=True, **inertial
         )
@@ -332,18 +365,8 @@ def _mujoco(robot: Robot) -> tuple[mujoco.MjModel, str]:
             motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
             motor.ctrlrange = (-robot.torque_limit[j], robot.torque_limit[j])
     body.add_body(name=PAYLOAD, pos=robot.payload_link.moment, ipos=np.zeros(3), explicitinertial=True)
-    body.add_site(name=chain.TOOL, pos=robot.payload_link.moment)
-    model = spec.compile()
-    odd = [j for j, inertial in enumerate(inertials) if not inertial[3]]
-    for j in odd:
-        mass, com, inertia, _ = inertials[j]
-        moments, axes = np.linalg.eigh(inertia)
-        axes = axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
-        model.body_mass[j + 1], model.body_ipos[j + 1], model.body_inertia[j + 1] = mass, com, moments
-        model.body_iquat[j + 1] = _quaternion(axes)
-    if odd:
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model, spec.to_xml()
+    body.add_site(name=chain.TOOL, pos=robot.payload_link.moment, quat=_quaternion(robot.payload_link.rotation))
+    return spec
 
 
 def _inertial(link: Link) -> tuple[float, np.ndarray, np.ndarray, bool]:

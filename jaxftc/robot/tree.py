@@ -47,11 +47,19 @@ class Body(NamedTuple):
     refused: str = ""  # why the arm cannot have this body, if so
 
 
+class Place(NamedTuple):
+    """A marked frame."""
+
+    body: int
+    position: np.ndarray  # [3] m, in the frame of the body
+    rotation: np.ndarray  # [3, 3]
+
+
 class Tree(NamedTuple):
     """A robot file."""
 
     bodies: tuple[Body, ...]
-    sites: dict[str, tuple[int, np.ndarray]]  # body and position [3] m in its frame
+    sites: dict[str, Place]
     gravity: np.ndarray  # [3] m/s^2
 
 

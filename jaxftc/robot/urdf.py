@@ -1,7 +1,7 @@
 """From URDF to ``Tree``: links, joints, inertials and limits. Shapes are never opened, so meshes may be missing.
 
-MuJoCo reads URDF too, but weighs the collision shape of a link that has no ``<inertial>``, and refuses odd inertials of links
-that do not move.
+MuJoCo reads URDF too, but weighs the collision shape of a link that has no ``<inertial>``, and refuses odd inertials of
+links that do not move.
 """
 
 from __future__ import annotations
@@ -17,7 +17,19 @@ import numpy as np
 from jaxftc.robot.tree import HINGE, SLIDE, Body, Joint, Tree, rpy
 
 KINDS = {"revolute": HINGE, "continuous": HINGE, "prismatic": SLIDE, "floating": "floating", "planar": "planar"}
-ONCE = {"inertial", "origin", "mass", "inertia", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller"}
+ONCE = {
+    "inertial",
+    "origin",
+    "mass",
+    "inertia",
+    "parent",
+    "child",
+    "axis",
+    "limit",
+    "dynamics",
+    "mimic",
+    "safety_controller",
+}
 GRAVITY = (0.0, 0.0, -9.81)  # m/s^2, a URDF has none of its own
 
 
@@ -76,7 +88,8 @@ def read(root: Element) -> Tree:
     for element in root.every():
         if element.tag.startswith("xacro:"):
             raise ValueError(
-                f"line {element.line}: <{element.tag}> is xacro, not URDF; expand the file first: xacro arm.urdf.xacro > arm.urdf"
+                f"line {element.line}: <{element.tag}> is xacro, not URDF; expand the file first: "
+                "xacro arm.urdf.xacro > arm.urdf"
             )
     links, joints = root.all("link"), root.all("joint")
     if not links:
@@ -133,17 +146,22 @@ def _parents(joints: list[Element], links: set[str]) -> dict[str, tuple[str, Ele
             ends[end] = element.attributes.get("link") if element is not None else None
             if ends[end] not in links:
                 raise ValueError(
-                    f"line {joint.line}: joint {joint.attributes['name']!r} has the {end} link {ends[end]!r}, which is not there"
+                    f"line {joint.line}: joint {joint.attributes['name']!r} has the {end} link {ends[end]!r}, "
+                    "which is not there"
                 )
         if ends["child"] in found:
-            raise ValueError(f"line {joint.line}: link {ends['child']!r} is the child of two joints; only trees can be modelled")
+            raise ValueError(
+                f"line {joint.line}: link {ends['child']!r} is the child of two joints; only trees can be modelled"
+            )
         found[str(ends["child"])] = (str(ends["parent"]), joint)
     return found
 
 
 def _body(link: Element, parent: int, joint: Element | None) -> Body:
     name = link.attributes["name"]
-    position, rotation = _origin(joint, f"joint {joint.attributes['name']!r}") if joint is not None else (np.zeros(3), np.eye(3))
+    position, rotation = (
+        _origin(joint, f"joint {joint.attributes['name']!r}") if joint is not None else (np.zeros(3), np.eye(3))
+    )
     joints = () if joint is None or joint.attributes.get("type") == "fixed" else (_joint(joint),)
     shape = bool(link.all("visual") or link.all("collision"))
     inertial = link.one("inertial")
@@ -164,7 +182,9 @@ def _inertial(element: Element, of: str) -> tuple[float, np.ndarray, np.ndarray]
     kg = _number(mass, "value", f"mass of {of}")
     if inertia is None:
         return kg, com, np.zeros((3, 3))
-    xx, yy, zz, xy, xz, yz = (_number(inertia, f"i{k}", f"inertia of {of}", 0.0) for k in ("xx", "yy", "zz", "xy", "xz", "yz"))
+    xx, yy, zz, xy, xz, yz = (
+        _number(inertia, f"i{k}", f"inertia of {of}", 0.0) for k in ("xx", "yy", "zz", "xy", "xz", "yz")
+    )
     return kg, com, axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
 
 
@@ -195,7 +215,7 @@ def _joint(element: Element) -> Joint:
         coulomb=(friction, friction),
         follows=follows,
         remarks=remarks,
-        **bounds,
+        **bounds,  # pyright: ignore[reportArgumentType]
     )
 
 
