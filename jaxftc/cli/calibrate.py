@@ -52,11 +52,12 @@ class Calibrate(Laws):
         from jaxftc.logs import read
         from jaxftc.schemes.registry import scheme
 
-        if not scheme(variant(self.base(), self.scheme)).DIAGNOSES:
+        base = self.base()
+        if not scheme(variant(base, self.scheme)).DIAGNOSES:
             raise ValueError(
                 f"scheme {self.scheme!r} has no diagnosis, so there is no threshold to set; give another --scheme"
             )
-        job = self.job(self.scheme)
+        job = self.job(base, self.scheme)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         share = {"false_alarms": self.false_alarms, "confidence": self.confidence}

@@ -44,7 +44,7 @@ class Laws(common.Options):
 
         return Config(common.load_arm(self), engine=self.engine, duration=self.duration)
 
-    def job(self, scheme: str) -> Job:
+    def job(self, base: Config, scheme: str) -> Job:
         """Everything that a row of a scheme depends on, with the gains that were asked for."""
         from jaxftc.campaigns.spec import Job, variant
         from jaxftc.scenarios.distributions import extent
@@ -52,7 +52,7 @@ class Laws(common.Options):
         from jaxftc.scenarios.sample import check_arm
 
         common.key(self)  # the seed's range
-        config = variant(self.base(), scheme)
+        config = variant(base, scheme)
         preset = load_preset(self.preset)
         check_arm(preset, config, self.preset)
         duration, onset = config.ticks * config.dt, extent(preset.times.onset_s)[0]
@@ -101,7 +101,8 @@ class Campaign(Laws):
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        jobs = {name: self.job(name) for name in names}
+        base = self.base()
+        jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
@@ -207,6 +208,8 @@ class Campaign(Laws):
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
         request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
         request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
+        request |= {} if self.tip is None else {"tip": self.tip}
+        request |= {"lock": list(self.lock)} if self.lock else {}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         if self.gains is not None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 GROUP = "jaxftc.commands"
 COMMANDS = {
     "demo": "jaxftc.cli.demo:Demo",
+    "inspect": "jaxftc.cli.inspect:Inspect",
     "simulate": "jaxftc.cli.simulate:Simulate",
     "campaign": "jaxftc.cli.campaign:Campaign",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
