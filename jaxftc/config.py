@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 from jaxftc import checks
 from jaxftc.fuzzy.rule_table import TABLES
@@ -16,6 +16,12 @@ Control = Literal["smc", "esmc", "afesmc"]
 SCHEMES: tuple[str, ...] = ("cascade", "momentum", "ekf", "computed_torque")
 OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")  # the paper's ranking; "eso_printed" is "eso" without its erratum mended
 CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
+BY_TIME: Any = None  # a number of ticks that follows dt unless it is given
+TIMES = {
+    "alarm_ticks": (0.003, 2),
+    "release_ticks": (0.01, 3),
+    "transient_ticks": (0.06, 6),
+}  # s, and at least so many ticks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,14 +45,17 @@ class Config:
     input: Literal["rigid_body", "torque"] = "rigid_body"  # what drives the ARX model
     rules: Literal["printed", "symmetric", "s_only"] = "printed"  # Table 1 as printed, or its mended forms
     sign: Literal["smooth", "hard"] = "smooth"  # tanh(x / eps), or the printed sgn
-    alarm_ticks: int = 3  # ticks above threshold before a torque alarm; a jump alarms at once
-    release_ticks: int = 10  # ticks below the release level before an alarm ends
-    transient_ticks: int = 60  # a torque alarm that ends sooner was a velocity transient of the reading, not a torque
+    alarm_ticks: int = BY_TIME  # ticks above threshold before a torque alarm, 3 ms; a jump alarms at once
+    release_ticks: int = BY_TIME  # ticks below the release level before an alarm ends, 10 ms
+    transient_ticks: int = BY_TIME  # a torque alarm that ends sooner, in 60 ms, was a velocity transient of the reading
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
             raise ValueError(f"robot must be a Robot, got {type(self.robot).__name__}; call puma560() or load_robot(path)")
         checks.positive("dt", self.dt, "seconds")
+        for name, (seconds, least) in TIMES.items():
+            if getattr(self, name) is BY_TIME:
+                object.__setattr__(self, name, max(least, round(seconds / self.dt)))
         checks.positive("t_final", self.t_final, "seconds")
         checks.multiple("t_final", self.t_final, self.dt)
         if self.duration is not None:

@@ -20,6 +20,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
+from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
@@ -59,7 +60,7 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
     Compiled with this library's options when called from Python, inlined under a caller's trace.
 
     Raises:
-        ValueError: gains or scenario are of a wrong shape, not finite or outside their limits.
+        ValueError: gains or scenario are of a wrong shape, not finite or outside their limits, or the observer is unstable.
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
@@ -78,6 +79,7 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
     checks.instance("gains", gains, Gains)
     checks.instance("scenario", scenario, Scenario)
     check_gains(config, gains)
+    stability.check(config, gains)
     scenario = jax.tree.map(jnp.asarray, scenario)
     axes = scenario.id.shape
     if scenario.q_start.shape[1:] != axes:
