@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Any, Literal
 
 from jaxftc import checks
 from jaxftc.fuzzy.rule_table import TABLES
@@ -15,6 +15,12 @@ Observer = Literal["pi", "eso", "ts", "eso_printed"]
 Control = Literal["smc", "esmc", "afesmc"]
 OBSERVERS: tuple[str, ...] = ("pi", "eso", "ts")  # the paper's ranking; "eso_printed" is "eso" without its erratum mended
 CONTROLS: tuple[str, ...] = ("smc", "esmc", "afesmc")
+BY_TIME: Any = None  # a number of ticks that follows dt unless it is given
+TIMES = {
+    "alarm_ticks": (0.003, 2),
+    "release_ticks": (0.01, 3),
+    "transient_ticks": (0.06, 6),
+}  # s, and at least so many ticks
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,10 +45,11 @@ class Config:
             themselves, as in the paper.
         rules: Table 1 as printed, or one of its mended forms.
         sign: ``smooth`` is tanh(x / eps), ``hard`` the printed sgn.
-        alarm_ticks: Ticks above the threshold before a torque alarm; a jump alarms at once.
-        release_ticks: Ticks below the release level before an alarm ends.
-        transient_ticks: A torque alarm that ends sooner was a velocity transient of the reading,
-            not a torque.
+        alarm_ticks: Ticks above the threshold before a torque alarm, 3 ms unless given; a jump
+            alarms at once.
+        release_ticks: Ticks below the release level before an alarm ends, 10 ms unless given.
+        transient_ticks: A torque alarm that ends sooner, 60 ms unless given, was a velocity
+            transient of the reading, not a torque.
 
     Raises:
         ValueError: a value is not allowed; the message says which are.
@@ -61,14 +68,17 @@ class Config:
     input: Literal["rigid_body", "torque"] = "rigid_body"
     rules: Literal["printed", "symmetric", "s_only"] = "printed"
     sign: Literal["smooth", "hard"] = "smooth"
-    alarm_ticks: int = 3
-    release_ticks: int = 10
-    transient_ticks: int = 60
+    alarm_ticks: int = BY_TIME
+    release_ticks: int = BY_TIME
+    transient_ticks: int = BY_TIME
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
             raise ValueError(f"robot must be a Robot, got {type(self.robot).__name__}; call puma560() or load_robot(path)")
         checks.positive("dt", self.dt, "seconds")
+        for name, (seconds, least) in TIMES.items():
+            if getattr(self, name) is BY_TIME:
+                object.__setattr__(self, name, max(least, round(seconds / self.dt)))
         checks.positive("t_final", self.t_final, "seconds")
         checks.multiple("t_final", self.t_final, self.dt)
         if self.duration is not None:

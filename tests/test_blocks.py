@@ -79,8 +79,8 @@ SMALL = [
     Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0)),
     Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
     Block("alarm", alarm, alarm.Inputs(3.0, 0.02)),
-    Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 3.0, ESTIMATE, 2.0)),
-    Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 3.0, ESTIMATE, 2.0)),
+    Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 3.0, ESTIMATE, 2.0, 1.0)),
+    Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 3.0, ESTIMATE, 2.0, 1.0)),
     *(
         Block(
             f"sliding-mode-{control}",

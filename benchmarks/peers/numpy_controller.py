@@ -46,7 +46,7 @@ class Controller:
         self.verdict = np.zeros(n, int)
         self.tau_on, self.q_on, self.transient, self.frozen, self.noisy, self.suspect = np.zeros((6, n), bool)
         self.tau_run, self.q_run, self.age, self.peak, self.quiet, self.jumps, self.signed, self.equal = np.zeros((8, n))
-        self.last, self.speed = q, zero
+        self.last, self.speed, self.travel = q, zero, zero
 
     def step(self, q_ref: Array, qd_ref: Array, qdd_ref: Array, reading: Array, tau: Array) -> Array:
         """Command [n] N m from the reference, the reading [n] rad and the torque that was commanded; Algorithm 1."""
@@ -54,7 +54,7 @@ class Controller:
         qdd = self.qdd
         if (tau != self.tau).any():  # the limits cut it
             qdd = qdd + np.linalg.solve(self.mass, tau - self.tau)
-        qdd_hat = qdd + self.psi
+        self.applied, qdd_hat = qdd, qdd + self.psi
         seen = self.observer.explain(reading, qdd_hat, self.transient, self.frozen, self.noisy)
         q = self.observer.q1
 
@@ -113,13 +113,18 @@ class Controller:
         excess = self.peak / level.alpha_tau
         now = was_on & (self.age < config.transient_ticks) & fallen & (excess >= excess.max())
         self.quiet = np.where(self.tau_on | self.q_on, 0.0, self.quiet + 1)
-        self.transient = now | (self.transient & (self.quiet < sensor_check.TRANSIENT_MEMORY))
+        self.transient = now | (self.transient & (self.quiet < round(sensor_check.TRANSIENT_MEMORY / config.dt)))
         self.jumps = sensor_check.JUMP_MEMORY * self.jumps + seen.h_s
         self.signed = sensor_check.JUMP_MEMORY * self.signed + seen.h_s * seen.side
         unchanged = seen.missing | (seen.y == self.last)
+        stepped = np.abs(seen.y - self.last) / (config.dt * (self.equal + 1))
+        changed = np.where(self.equal > 0, np.minimum(np.maximum(qd, -stepped), stepped), qd)
+        ahead = self.speed + config.dt * self.applied
+        ahead = np.where(ahead * self.speed > 0, ahead, 0.0)
+        self.travel = np.where(unchanged, self.travel + config.dt * np.abs(self.speed), 0.0)
         self.equal = np.where(unchanged, self.equal + 1, 0.0)
-        self.speed, self.last = np.where(unchanged, self.speed, qd), seen.y
-        moved = self.equal * config.dt * np.abs(self.speed) > self.gains.observer.jump
+        self.speed, self.last = np.where(unchanged, ahead, changed), seen.y
+        moved = self.travel > self.gains.observer.jump
         self.frozen = (self.equal >= sensor_check.FROZEN_READINGS) & (moved | seen.absent)
         many = self.jumps >= sensor_check.MANY_JUMPS
         self.noisy = many & (np.abs(self.signed) < 0.5 * self.jumps)

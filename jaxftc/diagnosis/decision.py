@@ -32,6 +32,7 @@ class Inputs(NamedTuple):
     residual_tau: Array  # [n, ...] N m
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
+    qdd: Array  # [n, ...] rad/s^2, acceleration that the command of the last tick stands for, without faults
 
 
 class Decision(NamedTuple):
@@ -49,7 +50,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Decision]:
     """Verdict and sensor status of this tick."""
     alarms_next, alarms = alarm.step(config, gains, state.alarm, inputs.statistics)
-    checked = sensor_check.Inputs(alarms, inputs.residual_tau, inputs.estimate, inputs.qd_hat)
+    checked = sensor_check.Inputs(alarms, inputs.residual_tau, inputs.estimate, inputs.qd_hat, inputs.qdd)
     check_next, sensors = sensor_check.step(config, gains, state.check, checked)
     suspect = sensors.suspect > 0
     return State(alarms_next, check_next), Decision(verdict(alarms.tau & ~suspect, alarms.q | suspect), sensors)

@@ -6,7 +6,8 @@ The torque channel sees them first; each detector here takes one kind for what i
   settled, and then like nothing. A torque that is really there stays. A torque residual that falls to ``FALLEN`` of its peak
   (or a statistic below the release level) within ``config.transient_ticks`` of the alarm was one. Of several at once only
   the largest counts: the inertia matrix spreads it to the neighbours;
-* ``freeze``: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all;
+* ``freeze``: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all. How
+  far it moved is the speed it had, less what a coarse encoder makes of a single count, and its model's acceleration since;
 * ``jump_rate``: noise or a steep drift, many jumps in a tenth of a second, to and fro or one way.
 
 A reading found out in this way explains the torque residual of its joint, and the acceleration it feigned is kept out of the
@@ -32,7 +33,7 @@ from jaxftc.types import Array, SensorStatus
 FALLEN = 0.35  # share of its peak to which the residual of a velocity transient has fallen
 FROZEN_READINGS = 5
 MANY_JUMPS = 8.0
-TRANSIENT_MEMORY = 500  # ticks without an alarm after which a velocity transient is forgotten
+TRANSIENT_MEMORY = 0.5  # s without an alarm after which a velocity transient is forgotten
 JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
 
 
@@ -58,7 +59,8 @@ class Freeze(NamedTuple):
 
     y: Array  # rad, last reading
     equal: Array  # readings in a row that did not change or did not come
-    speed: Array  # rad/s, when the reading last changed
+    speed: Array  # rad/s, of the arm since the reading last changed
+    travel: Array  # rad, by which it should have moved since
 
 
 class State(NamedTuple):
@@ -76,13 +78,14 @@ class Inputs(NamedTuple):
     residual_tau: Array  # [n, ...] N m
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
+    qdd: Array  # [n, ...] rad/s^2, acceleration that the command of the last tick stands for, without faults
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """Nothing found."""
     del config, gains
     zero = jnp.zeros_like(q)
-    return State(Transient(*[zero] * 5), Jumps(zero, zero), Freeze(q, zero, zero))
+    return State(Transient(*[zero] * 5), Jumps(zero, zero), Freeze(q, zero, zero, zero))
 
 
 def nothing_found(q: Array) -> SensorStatus:
@@ -116,7 +119,7 @@ def velocity_transient(config: Config, gains: Gains, state: Transient, inputs: I
     excess = peak / gains.diagnosis.alpha_tau
     now = (state.alarmed > 0) & (age < config.transient_ticks) & fallen & (excess >= excess.max(0))
     quiet = jnp.where(up | inputs.alarms.q, 0.0, state.quiet + 1)
-    found = jnp.where(now, 1.0, jnp.where(quiet >= TRANSIENT_MEMORY, 0.0, state.found))
+    found = jnp.where(now, 1.0, jnp.where(quiet >= round(TRANSIENT_MEMORY / config.dt), 0.0, state.found))
     return Transient(up.astype(residual.dtype), age, peak, found, quiet)
 
 
@@ -133,6 +136,11 @@ def freeze(config: Config, gains: Gains, state: Freeze, inputs: Inputs) -> tuple
     seen = inputs.estimate
     unchanged = seen.missing | (seen.y == state.y)
     equal = jnp.where(unchanged, state.equal + 1, 0.0)
-    speed = jnp.where(unchanged, state.speed, inputs.qd_hat)
-    moved = equal * config.dt * jnp.abs(speed) > gains.observer.jump
-    return Freeze(seen.y, equal, speed), (equal >= FROZEN_READINGS) & (moved | seen.absent)
+    stepped = jnp.abs(seen.y - state.y) / (config.dt * (state.equal + 1))  # of a coarse encoder: one count in so many ticks
+    changed = jnp.where(state.equal > 0, jnp.clip(inputs.qd_hat, -stepped, stepped), inputs.qd_hat)
+    ahead = state.speed + config.dt * inputs.qdd
+    ahead = jnp.where(ahead * state.speed > 0, ahead, 0.0)  # it may stop, and then stands
+    speed = jnp.where(unchanged, ahead, changed)
+    travel = jnp.where(unchanged, state.travel + config.dt * jnp.abs(state.speed), 0.0)
+    moved = travel > gains.observer.jump
+    return Freeze(seen.y, equal, speed, travel), (equal >= FROZEN_READINGS) & (moved | seen.absent)

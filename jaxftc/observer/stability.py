@@ -12,12 +12,17 @@ linear; simulation covers it.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterator
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxftc.config import Config
-from jaxftc.gains import Gains, specs
+from jaxftc.gains import Gains, Spec, specs
 from jaxftc.stages import Flag
 from jaxftc.types import Array
 
@@ -29,8 +34,35 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
 
     Only for ``input="rigid_body"``, where the joints do not couple; gains without scenario axes.
     """
-    matrices = np.asarray(error_matrices(config, gains), float)
-    return np.abs(np.linalg.eigvals(matrices)).max(-1).max(0)
+    leaves = [leaf.astype(float) for leaf in _of_joints(config, gains, np)]
+    cases = (0.0, 1.0) if config.observer == "ts" else (0.0,)
+    matrices = [[_matrix(np, config, *joint, on) for joint in zip(*leaves, strict=True)] for on in cases]
+    return np.abs(np.linalg.eigvals(np.array(matrices))).max(-1).max(0)
+
+
+def check(config: Config, gains: Gains) -> None:
+    """Refuse gains with which the observer's error grows; gains under a trace or with scenario axes are not looked at.
+
+    Raises:
+        ValueError: the spectral radius of some joint is not below 1.
+    """
+    if config.scheme != "cascade" or config.input != "rigid_body":
+        return
+    if any(isinstance(leaf, Tracer) or leaf.ndim > len(spec.axes) for leaf, spec in _with_specs(gains)):
+        return
+    radius = spectral_radius(config, gains)
+    if not (radius < 1).all():
+        joint = int(np.argmax(np.where(np.isfinite(radius), radius, np.inf)))
+        raise ValueError(
+            f"the observer of joint {joint + 1} ({config.robot.joint_names[joint]}) is unstable at dt = {config.dt:g} s: the "
+            f"spectral radius of its error is {radius[joint]:.4g} and must be below 1; default_gains(config) gives gains for "
+            "this dt, or lower observer.alpha_i and alpha_f1, alpha_f3"
+        )
+
+
+def _with_specs(gains: Gains) -> Iterator[tuple[Any, Spec]]:
+    for block, name, spec in specs():
+        yield getattr(getattr(gains, block), name), spec
 
 
 def smooth_radius(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Array:
@@ -59,12 +91,12 @@ def smooth_radius(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Ar
     return jnp.exp(total).max(0)
 
 
-def bank_matrices(xi: Array | float, order: int) -> tuple[Array, Array]:
-    """A [order, order] and b [order] of one Laguerre bank, Eq. (5), as matrices."""
+def bank_matrices(xi: Array | float, order: int, xp: Any = jnp) -> tuple[Any, Any]:
+    """A [order, order] and b [order] of one Laguerre bank, Eq. (5), as matrices of ``xp``, jnp or np."""
     i, j = np.indices((order, order))
-    xi = jnp.asarray(xi)
+    xi = xp.asarray(xi)
     below = (1 - xi**2) * (-xi) ** np.maximum(i - j - 1, 0)
-    return jnp.where(i == j, xi, jnp.where(j < i, below, 0.0)), jnp.sqrt(1 - xi**2) * (-xi) ** np.arange(order)
+    return xp.where(i == j, xi, xp.where(j < i, below, 0.0)), xp.sqrt(1 - xi**2) * (-xi) ** np.arange(order)
 
 
 def error_matrices(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Array:
@@ -73,29 +105,37 @@ def error_matrices(config: Config, gains: Gains, fuzzy: Flag | None = None) -> A
     The cases are the fuzzy stage off and fully on, twice off for an observer without it. Inputs and psi are scaled by dt^2,
     so that all entries are angles.
     """
+    leaves, on = _of_joints(config, gains, jnp), (0.0, 1.0 * (config.observer == "ts" if fuzzy is None else fuzzy))
+    joints = jax.vmap(functools.partial(_matrix, jnp, config), in_axes=(0,) * len(leaves) + (None,))
+    return jnp.stack([joints(*leaves, jnp.asarray(case, gains.arx.xi_a.dtype)) for case in on])
+
+
+def _of_joints(config: Config, gains: Gains, xp: Any) -> list[Any]:
+    """What ``_matrix`` takes of each joint, [n, ...]."""
     if config.input != "rigid_body":
         raise ValueError('stability needs input="rigid_body"; with "torque" the joints couple and the arm closes the loop')
     arx, observer = gains.arx, gains.observer
-    strongest = jnp.maximum(observer.alpha_f1, observer.alpha_f3)
-    on = (0.0, 1.0 * (config.observer == "ts" if fuzzy is None else fuzzy))
-
-    def one(xi_a, xi_b, kappa_a, kappa_b, alpha_p, alpha_i, alpha_f, leak, on):
-        """One joint's matrix, with the fuzzy stage ``on`` (1) or off (0)."""
-        (a_a, b_a), (a_b, b_b) = bank_matrices(xi_a, config.order_a), bank_matrices(xi_b, config.order_b)
-        square = config.dt**2
-        read = jnp.concatenate([kappa_a, kappa_b[0] / square])
-        na, nb = config.order_a, config.order_b
-        zeros = lambda *shape: jnp.zeros(shape, read.dtype)  # noqa: E731
-        angle = jnp.concatenate([a_a, zeros(na, nb)], 1) + (1 - alpha_p) * jnp.outer(b_a, read)
-        return jnp.block(
-            [
-                [angle, zeros(na, 2)],
-                [zeros(nb, na), a_b, b_b[:, None], on * b_b[:, None]],
-                [-alpha_i * square * read[None], jnp.ones((1, 1), read.dtype), zeros(1, 1)],
-                [-on * alpha_f * square * read[None], zeros(1, 1), jnp.reshape(1 - leak, (1, 1)) * on],
-            ]
-        )
-
-    joints = jax.vmap(one, in_axes=(0,) * 8 + (None,))
+    strongest = xp.maximum(xp.asarray(observer.alpha_f1), xp.asarray(observer.alpha_f3))
     leaves = (arx.xi_a, arx.xi_b, arx.kappa_a, arx.kappa_b, observer.alpha_p, observer.alpha_i, strongest, observer.leak)
-    return jnp.stack([joints(*leaves, jnp.asarray(case, arx.xi_a.dtype)) for case in on])
+    return [xp.asarray(leaf) for leaf in leaves]
+
+
+def _matrix(
+    xp: Any, config: Config, xi_a: Any, xi_b: Any, kappa_a: Any, kappa_b: Any, alpha_p: Any, alpha_i: Any, alpha_f: Any,
+    leak: Any, on: Any,
+) -> Any:  # fmt: skip
+    """One joint's matrix, with the fuzzy stage ``on`` (1) or off (0); ``xp`` is jnp, or np where no gradient is wanted."""
+    (a_a, b_a), (a_b, b_b) = bank_matrices(xi_a, config.order_a, xp), bank_matrices(xi_b, config.order_b, xp)
+    square = config.dt**2
+    read = xp.concatenate([kappa_a, kappa_b[0] / square])
+    na, nb = config.order_a, config.order_b
+    zeros = lambda *shape: xp.zeros(shape, read.dtype)  # noqa: E731
+    angle = xp.concatenate([a_a, zeros(na, nb)], 1) + (1 - alpha_p) * xp.outer(b_a, read)
+    return xp.block(
+        [
+            [angle, zeros(na, 2)],
+            [zeros(nb, na), a_b, b_b[:, None], on * b_b[:, None]],
+            [-alpha_i * square * read[None], xp.ones((1, 1), read.dtype), zeros(1, 1)],
+            [-on * alpha_f * square * read[None], zeros(1, 1), xp.reshape(1 - leak, (1, 1)) * on],
+        ]
+    )

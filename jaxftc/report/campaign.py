@@ -141,9 +141,8 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
             figure.add_scatter(y=late[first:], showlegend=False, **look, row=row, col=2)
     figure.update_yaxes(title_text="% found", col=1).update_yaxes(title_text="delay, ms", rangemode="tozero", col=2)
     note = (
-        "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, what ran. No "
-        "alarm at all is drawn as half a run. A curve ends where lower thresholds find no more, because alarms are up before "
-        "the fault."
+        "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, what ran. No alarm "
+        "at all is drawn as half a run. A curve ends where lower thresholds find no more: alarms are up before the fault."
     )
     figure = finish(figure, "Each point is a scale of all thresholds", note, panels=len(kinds))
     figure.update_xaxes(title_text="").update_xaxes(title_text="% false alarms", row=len(kinds))

@@ -105,7 +105,7 @@ def step(
     command = _command(config, at, mass, control, law, reference, on)  # lines 10 to 12
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
-    inputs = decision.Inputs(statistic, real, seen, law.qd_hat)
+    inputs = decision.Inputs(statistic, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     state = State(observer, means, decided, control, said.sensors, command, seen.psi)
     return state, _report(config, gains, seen, residual, statistic, said, law, command)

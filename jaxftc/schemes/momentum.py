@@ -118,11 +118,16 @@ def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:
     return p + lanes.trailing_constant(robot.armature, qd) * qd, drift
 
 
-def observe(gains: BaselineGains, before: Observer, now: tuple[Array, Array], tau: Array, dt: float) -> Observer:
+def observe(
+    gains: BaselineGains, before: Observer, now: tuple[Array, Array], tau: Array, dt: float, rate: Array | None = None
+) -> Observer:
     """Residual of this tick from (p, drift) now and the torque [n, ...] N m since the last tick.
+
+    ``rate`` [n, ...] 1/s takes the place of the gains'.
 
     r+ = r + (1 - exp(-K_o T)) (fault - r) with fault = (p+ - p) / T - tau - drift, the drift at the beginning of the tick.
     """
     p, drift = now
     fault = (p - before.p) / dt - tau - before.drift
-    return Observer(before.r - jnp.expm1(-gains.rate * dt) * (fault - before.r), p, drift)
+    rate = gains.rate if rate is None else rate
+    return Observer(before.r - jnp.expm1(-rate * dt) * (fault - before.r), p, drift)

@@ -16,6 +16,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
+from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
@@ -31,11 +32,12 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
 
     Raises:
-        ValueError: q has the wrong shape or is not finite, or a gain is not allowed.
+        ValueError: q has the wrong shape or is not finite, a gain is not allowed, or the observer is unstable with them.
     """
     checks.joints_first("q", q, config.n)
     checks.finite("q", q, "give the arm's measured angles in rad")
     check_gains(config, gains)
+    stability.check(config, gains)
     q = jnp.asarray(q, gains.arx.xi_a.dtype)
     return scheme(config).init(config, align(gains, q.ndim - 1), q)
 

@@ -20,6 +20,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
+from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
@@ -81,7 +82,7 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
         Trace of one run, time first; of a set, every leaf with a leading scenario axis.
 
     Raises:
-        ValueError: gains or scenario are of a wrong shape, not finite or outside their limits.
+        ValueError: gains or scenario are of a wrong shape, not finite or outside their limits, or the observer is unstable.
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
@@ -107,6 +108,7 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
     checks.instance("gains", gains, Gains)
     checks.instance("scenario", scenario, Scenario)
     check_gains(config, gains)
+    stability.check(config, gains)
     scenario = jax.tree.map(jnp.asarray, scenario)
     axes = scenario.id.shape
     if len(axes) > 1:
