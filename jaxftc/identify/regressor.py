@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.compile.xla import jit
-from jaxftc.robot import lanes, rigid_body
+from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import Link, Robot
 from jaxftc.types import Array
 
@@ -72,3 +72,23 @@ def regressor(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> n
 
 def _round_up(rows: int) -> int:
     return CHUNK if rows >= CHUNK else 1 << (rows - 1).bit_length()
+
+
+def _inverse(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
+    at = rigid_body.pose(robot, q)
+    return dynamics.nominal_torque(robot, at, qd, qdd) + dynamics.coulomb(robot, qd)
+
+
+_inverse = jit(_inverse, static_argnums=0)
+
+
+def inverse(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Torque [T, n] N m of a model for a motion [T, n] in float64, friction and motor inertia included."""
+    out = np.empty_like(q)
+    with jax.enable_x64(True):
+        for start in range(0, len(q), CHUNK):
+            took = np.minimum(np.arange(start, start + min(CHUNK, _round_up(len(q)))), len(q) - 1)
+            part = _inverse(robot, *(jnp.asarray(x[took].T, float) for x in (q, qd, qdd)))
+            size = min(len(took), len(q) - start)
+            out[start : start + size] = np.asarray(part).T[:size]
+    return out
