@@ -89,7 +89,7 @@ def solve(
     return x
 
 
-def _line_search(h, b, x, step, fall, weight, links, positive):  # noqa: ANN001, ANN202
+def _line_search(h, b, x, step, fall, weight, links, positive):
     start, size = _cost(h, b, x, weight, links, positive), 1.0
     while size > 1e-9:
         tried = x + size * step
@@ -99,7 +99,7 @@ def _line_search(h, b, x, step, fall, weight, links, positive):  # noqa: ANN001,
     return x
 
 
-def _cost(h, b, x, weight, links, positive) -> float:  # noqa: ANN001
+def _cost(h, b, x, weight, links, positive) -> float:
     room = positive @ x
     if (room <= 0).any():
         return np.inf

@@ -352,7 +352,9 @@ def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[st
     links = tuple(to_link(link, x[10 * i : 10 * i + 10]) for i, link in enumerate(robot.links))
     for i, length in enumerate(_lengths(robot)):
         if consistent.margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
-            notes.append(f"link {i + 1} is none that a body can have, as it was in the file; M(q) decides whether that matters")
+            notes.append(
+                f"link {i + 1} is none that a body can have, as it was in the file; M(q) decides whether that matters"
+            )
     inertia, viscous, mean, apart = x[10 * n : 14 * n].reshape(4, n)
     return with_numbers(
         robot, links=links, armature=inertia, damping=viscous, coulomb_positive=np.maximum(mean + apart, 0),

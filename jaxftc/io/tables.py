@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 PARQUET = "read_parquet($files, hive_partitioning = false)"  # of ``names``
-READERS = {".parquet": PARQUET, ".csv": "read_csv($files, hive_partitioning = false)"}
+READERS = {".parquet": PARQUET, ".pq": PARQUET, ".csv": "read_csv($files, hive_partitioning = false)"}
 
 
 @functools.cache

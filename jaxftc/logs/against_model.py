@@ -37,7 +37,9 @@ def gravity(robot: Robot, q: np.ndarray) -> np.ndarray:
         return np.asarray(_gravity(robot, jnp.asarray(q.T, float))).T
 
 
-def doubts(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, *, amperes: bool = False) -> tuple[list[str], list[str]]:
+def doubts(
+    robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, *, amperes: bool = False
+) -> tuple[list[str], list[str]]:
     """What is wrong with columns, and what is only noticed, one line each; from angles, speeds and torques [T, n].
 
     ``amperes`` says that the torques are currents, with a gain that is not known.
@@ -117,7 +119,9 @@ def _torques(
     return None
 
 
-def _angles(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, rest: np.ndarray, doubted: list[int]) -> str | None:
+def _angles(
+    robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, rest: np.ndarray, doubted: list[int]
+) -> str | None:
     n, names = robot.n, robot.joint_names
     pairs = list(itertools.combinations(range(n), 2))
     ways = [(np.arange(n), np.where(np.arange(n) == j, -1.0, 1.0)) for j in range(n)]

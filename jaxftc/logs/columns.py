@@ -148,7 +148,12 @@ def _groups(names: list[str], joints: tuple[str, ...]) -> list[_Group]:
         for alias, joint in aliases:
             found = re.search(rf"(?<![A-Za-z0-9]){re.escape(alias)}(?![A-Za-z0-9])", core)
             if found and core != alias:
-                put(True, core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail, joint, name)
+                put(
+                    True,
+                    core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail,
+                    joint,
+                    name,
+                )
                 break
         indexed = next((found for pattern in _INDEX if (found := pattern.match(core))), None)
         if indexed:

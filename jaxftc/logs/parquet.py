@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxftc.io import tables
 from jaxftc.logs.formats import Table
 
 
@@ -15,16 +16,8 @@ def read(path: Path) -> Table:
     Raises:
         ValueError: DuckDB cannot read it.
     """
-    import duckdb
-
-    literal = "".join(f"[{c}]" if c in "*?[" else c for c in str(path))  # DuckDB reads paths as patterns
-    try:
-        with duckdb.connect() as connection:
-            found = connection.execute("select * from read_parquet($path)", {"path": literal}).fetchnumpy()
-    except duckdb.Error as error:
-        raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
     columns: dict[str, np.ndarray] = {}
-    for name, column in found.items():
+    for name, column in tables.read(path).items():
         values = np.ma.asarray(column)
         first = next((v for v in values.data[:1] if isinstance(v, list | np.ndarray)), None)
         if first is None:

@@ -57,12 +57,14 @@ def read(
     path = Path(path)
     table = formats.table(path)
     try:
-        return _log(path, table, robot, columns, dt or (config.dt if config else None), dt, degrees, torque_per_ampere, check)
+        return _log(
+            path, table, robot, columns, dt or (config.dt if config else None), dt, degrees, torque_per_ampere, check
+        )
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _log(path, table, robot, given, wanted, dt, degrees, torque_per_ampere, check) -> Log:  # noqa: ANN001, ANN202
+def _log(path, table, robot, given, wanted, dt, degrees, torque_per_ampere, check) -> Log:
     found = columns.find(list(table.columns), robot.joint_names, given)
     notes = [*table.notes, *found.notes]
     q = _numbers(table, found, found.angle, "rad")
@@ -138,7 +140,9 @@ def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
         try:
             out[row - 1] = np.nan if cell is None or str(cell).strip().lower() in MISSING else float(cell)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"row {row}, column {name!r}: must be a number in {unit}, got {cell!r}; mend that cell") from error
+            raise ValueError(
+                f"row {row}, column {name!r}: must be a number in {unit}, got {cell!r}; mend that cell"
+            ) from error
     return out
 
 
@@ -165,7 +169,7 @@ def _time(table: formats.Table, found: columns.Columns, dt: float | None, rows: 
     return dt * np.arange(rows)
 
 
-def _torque_unit(tau, found, robot, torque_per_ampere, notes) -> np.ndarray:  # noqa: ANN001
+def _torque_unit(tau, found, robot, torque_per_ampere, notes) -> np.ndarray:
     if found.units.get("torque") == "mA":
         tau = 1e-3 * tau
     if torque_per_ampere is not None:
@@ -175,7 +179,9 @@ def _torque_unit(tau, found, robot, torque_per_ampere, notes) -> np.ndarray:  # 
         notes.append(f"torques are currents times {np.array2string(gain, precision=4)} N m/A")
         return tau * gain
     if found.units.get("torque") in ("A", "mA"):
-        notes.append("torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere")
+        notes.append(
+            "torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere"
+        )
     return tau
 
 
