@@ -213,15 +213,20 @@ LAWS = (
 
 
 SMALL = st.floats(0.01, 0.4)
-GOOD = (
+LAW = (
     SMALL
     | st.tuples(SMALL, st.floats(0.5, 0.9)).map(lambda x: {"uniform": list(x)})
     | st.lists(SMALL, min_size=1, max_size=3).map(lambda x: {"choice": x})
-    | SMALL.map(lambda x: {"size": {"normal": [x, 0.1], "within": [0.0, 0.9]}})
-    | st.integers(1, 3)
-    | st.lists(st.integers(1, 3), min_size=1, max_size=3, unique=True)
-    | SMALL.map(lambda x: {"share": x, "rise_s": x})
+    | SMALL.map(lambda x: {"normal": [x, 0.1], "within": [0.005, 0.9]})
 )
+GOOD = {  # where a law is not what belongs there
+    "healthy": st.just(0.2), "both": st.just(0.2), "permanent": SMALL, "at_once": st.integers(1, 3),
+    "allowed": st.lists(st.integers(1, 3), min_size=1, max_size=3, unique=True),
+    "incipient": st.builds(lambda share, law: {"share": share, "rise_s": law}, SMALL, LAW),
+    "intermittent": st.builds(lambda share, law: {"share": share, "period_s": law, "duty": 0.5}, SMALL, LAW),
+    "bias": LAW.map(lambda law: {"size": law}), "loss": LAW.map(lambda law: {"size": law}),
+    "drift": LAW.map(lambda law: {"size": law}), "noise": LAW.map(lambda law: {"size": law}),
+}  # fmt: skip
 
 
 @many("presets")
@@ -233,7 +238,7 @@ def test_presets(config, tmp_path, data):
         if data.draw(st.integers(0, 9)) == 0:
             table[block] = data.draw(ODD)
         elif isinstance(table.setdefault(block, {}), dict):
-            table[block][name] = data.draw(GOOD | GOOD | LAWS)
+            table[block][name] = data.draw(GOOD.get(name, LAW) if data.draw(st.integers(0, 2)) else LAWS)
     path = tmp_path / "preset.toml"
     path.write_text(toml(table), encoding="utf-8")
     try:
