@@ -20,12 +20,14 @@ import pytest
 import jaxftc
 from jaxftc.campaigns import spec as jobs
 from jaxftc.campaigns import store
+from jaxftc.campaigns.calibrate import by_joint
 from jaxftc.cli import common
 from jaxftc.cli.main import main
 from jaxftc.evaluation import comparison, summary
 from jaxftc.io.files import SUFFIX
 from jaxftc.io.folder import MARK
 from jaxftc.io.tables import write_parquet
+from jaxftc.report import campaign as report
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.variants import variants
 
@@ -375,6 +377,77 @@ def test_calibrate_writes_gains_that_a_campaign_takes(run, refused, tmp_path):
     said = run("calibrate", "--runs", 100, "--out", tmp_path, "--force", code=2).stderr  # in a process of its own
     assert "too few" in said.splitlines()[-1] and "Traceback" not in said
     assert "diagnosis.lead must lie in [0, inf) 1/s^2" in refused("calibrate", "--lead", -1, "--out", tmp_path)
+
+
+def test_rows_say_whose_they_are(folder):
+    rows = rows_of(folder[0])
+    assert set(rows["scheme"]) == {"cascade"} and set(rows["seed"]) == {5}
+
+
+def test_everything_that_ran_is_said(folder):
+    out, printed = folder
+    ran = printed["provenance"]
+    assert ran["command"] == f"jaxftc campaign -n 300 --out {out} --worst 1 --json --duration 0.4 --seed 5"
+    assert ran["robot"]["name"].startswith("puma560") and ran["config"]["duration"] == 0.4 and ran["seed"] == 5
+    assert ran["preset"] == {"name": "standard", "base": "standard", "changes": {}} and ran["gains"] is None
+    assert ran["gains_that_ran"]["sha256"] in (out / "SHA256SUMS").read_text()
+    page = (out / "report.html").read_text()
+    for text in (ran["command"], ran["robot"]["fingerprint"], ran["versions"]["jax"], ran["gains_that_ran"]["sha256"]):
+        assert text in page
+    assert printed["thresholds"]["alpha_tau_nm"]["joint1"] == 2.0 and "joint1 2" in page
+
+
+def test_a_damaged_chunk_is_named_by_a_replay(folder, refused, tmp_path):
+    shutil.copytree(folder[0], tmp_path / "copy")
+    chunk = tmp_path / "copy" / "chunk-000000.parquet"
+    chunk.write_bytes(chunk.read_bytes() + b"x")
+    said = refused("simulate", "--from", tmp_path / "copy", "--id", 1, "--out", tmp_path / "replay")
+    assert f"{chunk} is not what its checksum says; the command that made the campaign runs its rows again" in said
+    assert not (tmp_path / "replay").exists()
+
+
+def table_of(**columns):
+    """Rows of a summary, made by hand; what is not given is 1 throughout."""
+    count = len(columns["kind"])
+    names = {*summary.ERRORS, *summary.MORE, *summary.CROSSINGS, "isolated_s", "recovery_s", "healthy_ratio", "delay_s"}
+    rest = dict.fromkeys(names, np.ones(count)) | {name: np.zeros(count, bool) for name in ("diverged", "false_alarm")}
+    right = {name: np.ones(count, bool) for name in ("kind_right", "joint_right", "verdict_right", "detected")}
+    return rest | right | {"onset_s": np.full(count, 0.1)} | columns
+
+
+def test_alarms_that_have_gone_are_no_misses():
+    """Two actuator faults said to be normal: one was missed, of the other the alarm was over."""
+    kind = np.array(["actuator"] * 4 + ["normal"])
+    said = np.array(["actuator", "actuator", "normal", "normal", "normal"])
+    rows = table_of(kind=kind, kind_hat=said, fault=kind, detected=np.array([True, True, True, False, False]))
+    found = summary.summarise(rows, "cascade")
+    assert found["confusion"][1] == [2, 2, 0, 0] and found["alarm_gone"] == [0, 1, 0, 0]
+    figure = report.confusion(found)
+    assert "1 had an alarm" in figure.data[0].text[1][0] and "had an alarm" not in figure.data[0].text[0][0]
+    assert "or one that was over by then" in figure.layout.meta["note"]
+
+
+def test_the_trade_off_does_not_bend_back():
+    """Thresholds so low that alarms are up before the fault find less: the curve ends before."""
+    share = [0.2, 0.6, 0.9, 0.9, 0.5]
+    roc = {"scale": [0.25, 0.5, 1.0, 2.0, 4.0], "false_alarm_runs": [1.0, 1.0, 0.3, 0.1, 0.0]}
+    roc |= {"detection": dict.fromkeys(summary.FAULTY, share), "delay_median_s": dict.fromkeys(summary.FAULTY, share)}
+    drawn = report.trade_off({"cascade": {"roc": roc, "n_healthy": 10}}).data[0]
+    assert list(drawn.x) == [30.0, 10.0, 5.0] and list(drawn.y) == [90.0, 90.0, 50.0]
+    assert list(drawn.customdata) == [1.0, 2.0, 4.0]
+
+
+def test_faults_below_the_thresholds_are_told(puma):
+    config = jaxftc.Config(puma)
+    gains = jaxftc.default_gains(config)  # 2 N m and 1 deg on every joint
+    rows = {"fault_tau": np.array(["bias"] * 4 + ["loss"]), "joint_tau": np.array([1, 2, 3, 6, 1])}
+    rows |= {"magnitude_tau": np.array([-1.0, 1.9, 0.5, 2.1, 0.1]), "fault_q": np.array([""] * 5)}
+    found = summary.small(rows, gains)
+    assert found == {"actuator bias": 0.75}
+    lines = comparison.thresholds({"thresholds": by_joint(config, gains), "small_faults": found})
+    assert "joint1 2, joint2 2" in lines[0] and lines[1].startswith("Thresholds, deg of the encoder: joint1 1,")
+    assert lines[2].startswith("75 % OF THE ACTUATOR BIAS FAULTS ARE SMALLER than their joint's threshold")
+    assert len(comparison.thresholds({"thresholds": {}, "small_faults": {"actuator bias": 0.4}})) == 0
 
 
 def test_the_report_shows_what_the_summary_says(folder):

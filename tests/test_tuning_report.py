@@ -6,6 +6,7 @@ import numpy as np
 import jaxftc
 from jaxftc.report.figures import surface_figure
 from tuning import OBJECTIVE, Progress, Result, report
+from tuning.cli import summary
 from tuning.held_out import Comparison
 
 
@@ -48,6 +49,22 @@ def test_surface_figure_is_table_1(config):
         before.z[-1, -1],
     )  # (s, q) at the ends: NB-NB, NB-PB, PB-NB, PB-PB
     np.testing.assert_allclose(corner, (2.5, 0.5, 0.5, 2.5), atol=0.05)
+
+
+def test_better_and_worse_are_what_the_interval_says_and_the_objective_feels():
+    """A significant rise is worse, however small a share; one of a term that was next to nothing is none."""
+    draws = np.random.default_rng(1).uniform(1, 2, 400)
+    names = ("rises", "falls", "scatters", "nothing")
+    before = np.stack([draws, draws, draws, 0 * draws])
+    after = np.stack([1.05 * draws, 0.5 * draws, np.roll(draws, 1), 2e-4 + 0 * draws])
+    found = Comparison("standard", "smooth", names, np.ones(4), before, after, None, None)  # pyright: ignore[reportArgumentType]
+    assert [found.word(name) for name in (*names, "objective")] == ["worse", "better", "same", "same", "better"]
+    page = report._table(found)
+    looks = {row.split("</td>")[0].rpartition(">")[2]: row for row in page.split("<tr>") if "<td" in row}
+    assert "number no'" in looks["rises"] and "number yes'" in looks["falls"]
+    assert not any(look in looks[name] for look in (" no'", " yes'") for name in ("scatters", "nothing"))
+    text = summary(Result(None, 0, {}, [], "", 0, 0.0, 0, {}, {}), [found], 1)
+    assert [line.split()[0] for line in text.splitlines() if "WORSE" in line] == ["rises"]
 
 
 def test_what_tuning_changed_stays_on_its_axis():

@@ -83,7 +83,7 @@ def calibrate(
         ValueError: too few scenarios for that share and confidence, or no threshold can reach it.
     """
     scenarios = without_faults(scenarios)
-    half = _enough(len(scenarios.id), false_alarms, confidence)
+    half = enough(len(scenarios.id), false_alarms, confidence)
     parts = take(scenarios, slice(0, half)), take(scenarios, slice(half, None))
 
     def peaks(gains: Gains, part: int) -> Peaks:
@@ -102,7 +102,7 @@ def calibrate_on_logs(
     Raises:
         ValueError: too few runs in the logs for that share and confidence, or no threshold can reach it.
     """
-    _enough(sum(len(log.q) // config.ticks for log in logs), false_alarms, confidence)
+    enough(sum(len(log.q) // config.ticks for log in logs), false_alarms, confidence)
 
     def peaks(gains: Gains, part: int) -> Peaks:
         pieces = [_windows(config, diagnose(config, gains, log)) for log in logs]
@@ -111,7 +111,7 @@ def calibrate_on_logs(
     return _settle(config, gains, peaks, false_alarms, confidence)
 
 
-def _enough(runs: int, false_alarms: float, confidence: float) -> int:
+def enough(runs: int, false_alarms: float, confidence: float) -> int:
     """The number of runs that set the thresholds: half of them, or one more.
 
     Raises:

@@ -46,7 +46,7 @@ class Calibrate(Laws):
         from tqdm import tqdm
 
         from jaxftc import save_gains
-        from jaxftc.campaigns.calibrate import by_joint, calibrate_on_logs
+        from jaxftc.campaigns.calibrate import by_joint, calibrate_on_logs, enough
         from jaxftc.campaigns.spec import as_record, set_thresholds, variant
         from jaxftc.cli import record
         from jaxftc.logs import read
@@ -62,6 +62,7 @@ class Calibrate(Laws):
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         share = {"false_alarms": self.false_alarms, "confidence": self.confidence}
         logs = [read(path, job.config) for path in self.logs]
+        enough(sum(len(log.q) // job.config.ticks for log in logs) if logs else self.runs, **share)
         with common.folder(self, "calibrate") as folder:
             if logs:
                 found = calibrate_on_logs(job.config, job.gains, logs, **share)
