@@ -14,7 +14,8 @@ from jaxftc.robot.model import Robot
 
 TURN = 2 * math.pi  # rad, all that an encoder of one turn can be off by
 SPEED = 30.0  # rad/s, of a joint; quick arms reach 10
-ACCELERATION = 1e4  # rad/s^2, of a joint; the lightest wrist with the strongest motor stays below
+REFERENCE_SPEED = 300.0  # rad/s; a planner may ask for somewhat more than the arm can do, and means it
+REFERENCE_ACCELERATION = 1e5  # rad/s^2
 TURNS = 100  # of a joint without a range; from there on float32 resolves an encoder's noise no more
 
 

@@ -97,7 +97,7 @@ def _signals(config: Config, state: Any, reference: Reference, measurement: Meas
     reading = jnp.where(near & (jnp.abs(reading - middle) <= half), reading, jnp.nan)
     limit = lanes.trailing_constant(robot.torque_limit, at)
     tau = smooth.saturate(jnp.where(jnp.isfinite(tau), tau, state.command.tau), limit)
-    slow = (jnp.abs(qd) <= reach.SPEED) & (jnp.abs(qdd) <= reach.ACCELERATION)
+    slow = (jnp.abs(qd) <= reach.REFERENCE_SPEED) & (jnp.abs(qdd) <= reach.REFERENCE_ACCELERATION)
     wanted = slow & (jnp.abs(q - middle) <= half)
     held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
     return held, Measurement(reading, tau)
