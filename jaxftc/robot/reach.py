@@ -1,7 +1,7 @@
 """What no arm does: bounds beyond which a signal says nothing of the arm.
 
-Wide on purpose. A fault of the encoder is the observer's to find and stays far inside them; what lies outside is a unit mixed
-up, a wire or a memory, and no estimate may be made of it.
+Wide on purpose. A fault of the encoder is the observer's to find and stays far inside them; what
+lies outside is a unit mixed up, a wire or a memory, and no estimate may be made of it.
 """
 
 from __future__ import annotations
