@@ -109,13 +109,15 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     b = jnp.where(frozen, state.b_fresh, state.fuzzy.b)
     at = _availability(config, state, reading, frozen, reading.q - b - y_hat)
     y = jnp.where(at.missing, y_hat + b, reading.q)
-    b = jnp.where(at.back & _healed(config, state, reading.sensors, y - y_hat, b), 0.0, b)
+    ended, healed = _returned(config, state, reading.sensors, y - y_hat, b)
+    b = jnp.where(at.back & (ended | healed), 0.0, b)
     e = y - b - y_hat
     jump = _jump(config, gains, state, reading, at, y - b, e, b, on)
+    beyond = (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.transient == 0)
+    leap = at.back & beyond & ~ended
+    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
     ahead = y_hat - state.q1  # a model that is left to itself must not leave the arm behind
     reach_back = jnp.where(at.missing, jnp.clip(ahead, -_step(config), _step(config)) - ahead, jump.followed)
-    leap = at.back & (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.transient == 0)
-    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
     model_reset = jnp.where(at.back & ~leap, e, reach_back)
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
     y_hat, e, b = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved))
@@ -169,14 +171,15 @@ def _availability(config: Config, state: State, reading: Reading, frozen: Array,
     return _Availability(frozen, absent, wild, (state.unread < 0) & ~wild, missing, ~missing & (state.unread > 0))
 
 
-def _healed(config: Config, state: State, sensors: SensorStatus, e: Array, b: Array) -> Array:
+def _returned(config: Config, state: State, sensors: SensorStatus, e: Array, b: Array) -> tuple[Array, Array]:
     """Whether a reading that comes back, e [n, ...] rad off a prediction without a fault, has lost its fault b in the pause.
 
-    What is nearer to the prediction is believed. That gets worse with the pause, and the fault is believed less. The size of a
-    drift is not known well, for it moves the arm: its end is believed that brings the reading clearly nearer.
+    First, the end of a drift: its size is not known well, for it moves the arm, so that a reading is believed that comes back
+    clearly nearer. Second, what is nearer to the prediction is believed. That gets worse with the pause, and the fault is
+    believed less.
     """
     blind = 0.5 * BLIND * (config.dt * state.unread) ** 2
-    return (jnp.abs(e) <= jnp.abs(e - b) + blind) | ((sensors.suspect > 0) & (jnp.abs(e) < 0.8 * jnp.abs(b)))
+    return (sensors.suspect > 0) & (jnp.abs(e) < 0.8 * jnp.abs(b)), jnp.abs(e) <= jnp.abs(e - b) + blind
 
 
 def _pause(state: State, at: _Availability) -> Array:
