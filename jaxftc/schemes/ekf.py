@@ -10,8 +10,8 @@ g = M qdd + h + D qd + f_c, (M + T D) d qdd = d tau_f - dg, and dg comes by forw
 
 What it cannot know: q and b are told apart by the model alone, q + c and b - c read the same. An encoder that jumps far
 beyond what ``walk_b`` allows is taken for a torque at first. A reading that does not come is predicted and not reported.
-Many leaps of the reading within a tenth of a second that no joint makes are no random walk: such readings are not used, and
-when they have ended, nothing that was made of them is kept: the belief starts anew.
+A leap beyond ``SPIKE`` waits for the next reading. Many leaps within a tenth of a second that no joint makes are no random
+walk: such readings are not used, and when they have ended, nothing that was made of them is kept: the belief starts anew.
 """
 
 from __future__ import annotations
@@ -31,6 +31,9 @@ from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
 from jaxftc.types import Array, Measurement, Output, Reference
+
+
+SPIKE = 0.3  # rad in a tick, more than any bias that is worth a look before it has lasted
 
 
 class Belief(NamedTuple):
@@ -68,7 +71,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     leap = jnp.abs(measurement.q - state.reading) > reach.SPEED * config.dt
     leaps = JUMP_MEMORY * state.leaps + leap
     wild = leaps >= MANY_JUMPS
-    used = jnp.where(wild, jnp.nan, measurement.q)
+    used = jnp.where(wild | (jnp.abs(measurement.q - state.reading) > SPIKE), jnp.nan, measurement.q)
     belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, measurement.tau), used)
     last = jnp.where(jnp.isfinite(measurement.q), measurement.q, state.reading)
     over = ((state.leaps >= MANY_JUMPS) & ~wild).any(0)
