@@ -39,9 +39,18 @@ def write_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
     """Write columns of equal length whole or not at all.
 
     Raises:
+        ValueError: two names differ in nothing but their case; DuckDB would drop a column.
         OSError: the disk is full, or the folder cannot be written.
     """
     import duckdb
+
+    seen: dict[str, str] = {}
+    for name in columns:
+        if name.lower() in seen:
+            raise ValueError(
+                f"columns {seen[name.lower()]!r} and {name!r} of {path.name} have one name but for their case; rename one"
+            )
+        seen[name.lower()] = name
 
     with aside(path) as temporary, duckdb.connect() as connection:
         connection.register("columns", columns)

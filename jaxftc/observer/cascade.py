@@ -119,8 +119,8 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     ahead = y_hat - state.q1  # a model that is left to itself must not leave the arm behind
     reach_back = jnp.where(at.missing, jnp.clip(ahead, -_step(config), _step(config)) - ahead, jump.followed)
     model_reset = jnp.where(at.back & ~leap, e, reach_back)
+    y_hat, e, b, model_reset = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved, model_reset))
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
-    y_hat, e, b = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved))
     pi_next, psi = pi.step(config, gains, state.pi, pi.Inputs(e))
     sliding_next, psi_sm = _sliding(config, gains, state.sliding, super_twisting.Inputs(e, jump.h_s), on)
     psi = psi + psi_sm + state.fuzzy.psi  # Eq. (15); a stage that does not run has psi = 0

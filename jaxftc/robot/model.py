@@ -14,6 +14,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from jaxftc.robot import plant
+
 PAYLOAD = "jaxftc_payload"  # massless body at the tool, so that a payload is one mass leaf in both engines
 
 
@@ -35,7 +37,7 @@ class Robot:
     name: str
     mjcf: str
     mj_model: mujoco.MjModel = dataclasses.field(repr=False)
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...]  # as in the file; each with its number where two would make one column of a table
     links: tuple[Link, ...] = dataclasses.field(repr=False)
     payload_link: Link = dataclasses.field(repr=False)  # one kilogram at the tool, in the frame of the last hinge
     body_link: np.ndarray = dataclasses.field(repr=False)  # [bodies] hinge that moves the body, -1 for the base
@@ -53,6 +55,22 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    def plant_model(self, dt: float | None = None) -> mujoco.MjModel:
+        """A new MuJoCo model that is this arm: the plant of a control loop of your own, moved by ``mujoco.mj_step``.
+
+        ``data.ctrl[:n]`` are the joints' motors, N m within ``torque_limit``, in place of the file's actuators: a position
+        servo would work against the controller. Motor inertia and viscous friction are the robot's. Coulomb friction is an
+        actuator behind the motors, for each joint that has any: linear up to ``coulomb_speed``, where the robot's is a tanh.
+        There are no shapes, contacts and joint limits. ``mj_model`` is no plant: servos are on in it, and dry friction is off.
+
+        Args:
+            dt: Time of one step, s; that of the file if not given. Take ``config.dt`` and one step a tick.
+
+        Raises:
+            ValueError: dt is not a positive number.
+        """
+        return plant.compiled(self, dt)
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
@@ -110,7 +128,7 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
         name=name,
         mjcf=spec.to_xml(),
         mj_model=model,
-        joint_names=tuple(model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)),
+        joint_names=_distinct([model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)]),
         links=links,
         payload_link=payload_link,
         body_link=body_link,
@@ -124,6 +142,16 @@ def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel],
         torque_limit=limit,
         fingerprint=digest.hexdigest()[:16],
     )
+
+
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    """The joints' names, each with its number where the columns of a table could be the same for two.
+
+    Columns are a signal and a joint: ``q_hat_x`` would be ``q_hat`` of ``x`` and ``q`` of ``hat_x``; case does not count.
+    """
+    low = [name.lower() for name in names]
+    same = any(a == b or a.endswith(f"_{b}") for i, a in enumerate(low) for j, b in enumerate(low) if i != j)
+    return tuple(f"{name}_{j + 1}" for j, name in enumerate(names)) if same else tuple(names)
 
 
 def _add_payload(spec: mujoco.MjSpec, name: str) -> None:

@@ -24,3 +24,8 @@ def angles(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     model = robot.mj_model
     low, high = np.where(model.jnt_limited[:, None] > 0, model.jnt_range, TURNS * TURN * np.array([-1.0, 1.0])).T
     return 0.5 * (low + high), 0.5 * (high - low) + TURN
+
+
+def limited(robot: Robot) -> bool:
+    """Whether any joint has a range."""
+    return bool(np.any(robot.mj_model.jnt_limited))

@@ -17,7 +17,7 @@ from jax.flatten_util import ravel_pytree
 from jaxftc import checks
 from jaxftc.compile.xla import ahead
 from jaxftc.config import Config
-from jaxftc.gains import Gains
+from jaxftc.gains import Gains, check
 from jaxftc.schemes import registry
 from jaxftc.types import Array, Measurement, Output, Reference
 
@@ -48,8 +48,8 @@ class Tick:
 
     def __init__(self, config: Config, gains: Gains) -> None:
         _not_forked()
+        check(config, gains)
         self.config, self.gains = config, gains
-        checks.instance("config", config, Config)
         start = registry.init(config, gains, jnp.zeros(config.n))
         flat, unflatten = ravel_pytree(start)
 

@@ -41,12 +41,10 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     Raises:
         ValueError: an argument is of another kind, q has the wrong shape or is not finite, or a gain is not allowed.
     """
-    checks.instance("config", config, Config)
-    checks.instance("gains", gains, Gains)
+    check_gains(config, gains)
     q = checks.filled(q)
     checks.joints_first("q", q, config.n)
     checks.finite("q", q, "give the arm's measured angles in rad")
-    check_gains(config, gains)
     q = jnp.asarray(q, gains.arx.xi_a.dtype)
     return SCHEMES[config.scheme].init(config, align(gains, q.ndim - 1), q)
 
@@ -61,12 +59,10 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
         ValueError: an argument is of another kind or a shape is wrong (shapes are known even under a trace; values are
             checked by ``init``), or the state is that of another scheme.
     """
-    checks.instance("config", config, Config)
-    checks.instance("gains", gains, Gains)
+    check_gains(config, gains)
     _check_state(config, state)
     checks.instance("reference", reference, Reference)
     checks.instance("measurement", measurement, Measurement)
-    check_gains(config, gains)
     reference, measurement = _arrays(config, state.q, reference, measurement)
     lost = _lost(state)
     anew = functools.partial(_anew, config, gains, lost, state, measurement.q)
@@ -131,7 +127,7 @@ def _possible(config: Config, state: Any, reference: Reference, measurement: Mea
     at, (q, qd, qdd) = state.q, reference
     middle, half = (lanes.trailing_constant(bound, at) for bound in reach.angles(config.robot))
     near = jnp.abs(measurement.q - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
-    there = near & (jnp.abs(measurement.q - middle) <= half)
+    there = near & (jnp.abs(measurement.q - middle) <= half) if reach.limited(config.robot) else near
     reading = jnp.where(there, measurement.q, (measurement.q - at) * jnp.inf)
     limit = lanes.trailing_constant(config.robot.torque_limit, at)
     tau = smooth.saturate(jnp.where(jnp.isfinite(measurement.tau), measurement.tau, state.command.tau), limit)
