@@ -10,7 +10,6 @@ Engine "chain" and 0.3 s of motion keep it short; most of the time goes into com
 # kept for the next time, and, for the control loop at the end, one that saves a change
 # of threads in every tick.
 
-import copy
 import os
 import tempfile
 from pathlib import Path
@@ -175,10 +174,10 @@ for kind in ("actuator", "sensor"):
 #
 # Tick is the controller as it runs on a robot: NumPy in, NumPy out, one array of state,
 # no plant and no truth. The robot here is MuJoCo's own simulation of the same arm; read
-# your encoders and send your torques in its place.
+# your encoders and send your torques in its place. plant_model() has motors in N m, and
+# the robot's friction, whatever actuators its file has.
 
-model = copy.copy(robot.mj_model)
-model.opt.timestep = config.dt
+model = robot.plant_model(config.dt)
 data = mujoco.MjData(model)
 data.qpos[:] = np.deg2rad([30.0, 90.0, 30.0, 120.0, 50.0, 180.0])
 
@@ -193,6 +192,6 @@ for k in range(300):
         print(f"{k} ms: verdict {out.verdict}, {out.fault_tau_hat[2]:.1f} N m in joint 3")
         break
     tau = out.tau
-    data.qfrc_applied[:] = tau
-    data.qfrc_applied[2] += 4.0 if k >= 150 else 0.0  # a fault in the motor of joint 3
+    data.ctrl[: robot.n] = tau
+    data.qfrc_applied[2] = 4.0 if k >= 150 else 0.0  # a fault in the motor of joint 3
     mujoco.mj_step(model, data)

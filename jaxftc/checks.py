@@ -47,6 +47,13 @@ def instance(name: str, value: object, kind: type) -> None:
         raise ValueError(f"{name} must be a {kind.__name__}, got a {type(value).__name__}; arguments in another order?")
 
 
+def filled(value: object) -> object:
+    """The value; of a masked array, NaN where it is masked, which JAX and NumPy would otherwise read through the mask."""
+    import numpy as np
+
+    return value.astype(float).filled(np.nan) if isinstance(value, np.ma.MaskedArray) else value
+
+
 def random_key(name: str, value: object) -> None:
     """Refuse what is no random key of JAX, old or new."""
     import jax

@@ -259,8 +259,10 @@ def check(config: Config, gains: Gains) -> None:
     """Refuse gains of a wrong shape, not finite or outside their limits; values under a trace are not looked at.
 
     Raises:
-        ValueError: naming the gain, what came and what is allowed.
+        ValueError: naming the gain, what came and what is allowed; or config or gains are something else.
     """
+    checks.instance("config", config, Config)
+    checks.instance("gains", gains, Gains)
     for block, name, spec in specs():
         leaf, path = getattr(getattr(gains, block), name), f"{block}.{name}"
         shape = shape_of(config, spec)

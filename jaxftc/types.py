@@ -17,24 +17,33 @@ Array = jax.Array
 
 
 class Verdict(IntFlag):
-    """What is said of a joint, Eq. (18); arrays hold its number."""
+    """What is said of a joint, Eq. (18); arrays hold its number.
+
+    ``UNKNOWN`` stands alone: the state that came was lost (not finite, or beyond all that a tick makes), the arm starts anew
+    from this tick's readings, and nothing is known of any of its joints.
+    """
 
     NORMAL = 0
     ACTUATOR = 1
     SENSOR = 2
     BOTH = 3
+    UNKNOWN = 4
 
     @property
     def label(self) -> str:
-        """Its name in files: normal, actuator, sensor or both."""
-        return LABELS[self]
+        """Its name in files: normal, actuator, sensor, both or unknown."""
+        return LABELS[self] if self < Verdict.UNKNOWN else "unknown"
 
 
 LABELS = ("normal", "actuator", "sensor", "both")  # of the verdicts 0 to 3
 
 
 class Reference(NamedTuple):
-    """Desired motion at one tick. A joint with a value that is not finite is to hold the angle it has.
+    """Desired motion at one tick.
+
+    A joint is to hold the angle it has where a value is not finite, or is one that no joint can follow: faster than 300
+    rad/s or 1e5 rad/s^2, or more than a turn outside its range (100 turns where the robot's file gives none).
+
 
     Attributes:
         q: [n, ...] rad.
@@ -50,16 +59,18 @@ class Reference(NamedTuple):
 class Measurement(NamedTuple):
     """What the controller is told at one tick.
 
-    A reading that is not finite is replaced by the model's prediction, and after a few ticks called a sensor fault; a torque
-    that is not finite counts as the controller's own command.
+    A reading that is not finite, or where no joint can be, is absent: it is replaced by the model's prediction, and after a
+    few ticks called a sensor fault. No joint can be more than a turn, and 30 rad/s since the last reading that was used,
+    from where it is held to be. A torque beyond the limit is what the limit leaves; one that is not finite, or not given,
+    counts as the controller's own command. Masked values count as not finite.
 
     Attributes:
         q: [n, ...] rad, encoder reading.
-        tau: [n, ...] N m, torque commanded in the last tick.
+        tau: [n, ...] N m, torque commanded in the last tick; None if it is not known.
     """
 
     q: Array
-    tau: Array
+    tau: Array | None = None
 
 
 class SensorStatus(NamedTuple):

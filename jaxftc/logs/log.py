@@ -66,7 +66,9 @@ def check_log(config: Config, log: Log, *, moving: bool = True) -> Log:
     Raises:
         ValueError: a wrong shape, too few ticks, a value that is not finite, a start in motion, or a joint that stood still.
     """
-    q, tau = np.asarray(log.q, float), np.asarray(log.tau, float)
+    checks.instance("config", config, Config)
+    checks.instance("log", log, Log)
+    q, tau = (np.asarray(checks.filled(signal), float) for signal in log)
     for name, value in (("q", q), ("tau", tau)):
         if value.ndim != 2 or value.shape[1] != config.n or value.shape != q.shape:
             raise ValueError(

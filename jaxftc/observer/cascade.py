@@ -25,6 +25,7 @@ from jaxftc.types import Array, SensorStatus
 
 STAGES: dict[str, ModuleType] = {"pi": pi, "sliding": super_twisting}  # blocks 2 and 3; block 4 looks at more
 BLIND = 1.0  # rad/s^2, by which a prediction without a reading may be wrong
+SETTLE = 50.0  # ticks, at most, in which a model without a reading loses the arm's speed and finds it again
 
 
 class State(NamedTuple):
@@ -38,7 +39,7 @@ class State(NamedTuple):
     q2: Array  # [n, ...] rad, q_hat two ticks ago
     reading: Array  # [n, ...] rad, last finite reading
     b_fresh: Array  # [n, ...] rad, encoder fault when the reading last changed
-    unread: Array  # [n, ...] ticks since a reading was last used
+    unread: Array  # [n, ...] ticks since a reading was last used; below zero while the model settles after a pause
 
 
 class Reading(NamedTuple):
@@ -71,6 +72,7 @@ class _Availability(NamedTuple):
     frozen: Array  # held to be frozen, and still the same
     absent: Array  # not finite
     wild: Array  # further from the last one than a joint turns in a tick
+    settling: Array  # used again, but the model may not have the arm's speed yet
     missing: Array  # not used: frozen, absent, or one that the sensor check gives no credit
     back: Array  # used again after a pause
 
@@ -108,16 +110,18 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     b = jnp.where(frozen, state.b_fresh, state.fuzzy.b)
     at = _availability(config, state, reading, frozen, reading.q - b - y_hat)
     y = jnp.where(at.missing, y_hat + b, reading.q)
-    b = jnp.where(at.back & _healed(config, state, y - y_hat, b), 0.0, b)
+    ended, healed = _returned(config, state, reading.sensors, y - y_hat, b)
+    b = jnp.where(at.back & (ended | healed), 0.0, b)
     e = y - b - y_hat
     jump = _jump(config, gains, state, reading, at, y - b, e, b, on)
+    beyond = (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.transient == 0)
+    leap = at.back & beyond & ~ended
+    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
     ahead = y_hat - state.q1  # a model that is left to itself must not leave the arm behind
     reach_back = jnp.where(at.missing, jnp.clip(ahead, -_step(config), _step(config)) - ahead, jump.followed)
-    leap = at.back & (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.suspect == 0)
-    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
     model_reset = jnp.where(at.back & ~leap, e, reach_back)
+    y_hat, e, b, model_reset = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved, model_reset))
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
-    y_hat, e, b = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved))
     inputs = Inputs(e, jump.h_s, on)
     made = {name: stage.step(config, gains, state.stages[name], inputs) for name, stage in STAGES.items()}
     psi = sum(share for _, share in made.values()) + state.fuzzy.psi  # Eq. (15); a stage that does not run has 0
@@ -133,7 +137,7 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
         q2=state.q1 + model_reset,
         reading=jnp.where(at.absent, state.reading, reading.q),
         b_fresh=jnp.where(changed, b, state.b_fresh),
-        unread=jnp.where(at.missing, state.unread + 1, 0.0),
+        unread=_pause(state, at),
     )
     return next_state, Estimate(y, y_hat, e, jump, model_reset, b, q_hat, fault_q, psi, at.missing, at.absent)
 
@@ -162,17 +166,26 @@ def _availability(config: Config, state: State, reading: Reading, frozen: Array,
     absent = ~jnp.isfinite(reading.q)
     wild = jnp.abs(reading.q - state.reading) > _step(config)
     doubted = ((reading.sensors.noisy > 0) & (jnp.abs(e) > _step(config))) | ((reading.sensors.suspect > 0) & wild)
+    doubted = doubted | (wild & (state.unread > 0))
     missing = absent | frozen | doubted
-    return _Availability(frozen, absent, wild, missing, ~missing & (state.unread > 0))
+    return _Availability(frozen, absent, wild, (state.unread < 0) & ~wild, missing, ~missing & (state.unread > 0))
 
 
-def _healed(config: Config, state: State, e: Array, b: Array) -> Array:
+def _returned(config: Config, state: State, sensors: SensorStatus, e: Array, b: Array) -> tuple[Array, Array]:
     """Whether a reading that comes back, e [n, ...] rad off a prediction without a fault, has lost its fault b in the pause.
 
-    What is nearer to the prediction is believed. That gets worse with the pause, and the fault is believed less.
+    First, the end of a drift: its size is not known well, for it moves the arm, so that a reading is believed that comes back
+    clearly nearer. Second, what is nearer to the prediction is believed. That gets worse with the pause, and the fault is
+    believed less.
     """
     blind = 0.5 * BLIND * (config.dt * state.unread) ** 2
-    return jnp.abs(e) <= jnp.abs(e - b) + blind
+    return (sensors.suspect > 0) & (jnp.abs(e) < 0.8 * jnp.abs(b)), jnp.abs(e) <= jnp.abs(e - b) + blind
+
+
+def _pause(state: State, at: _Availability) -> Array:
+    """Ticks since a reading was last used; after a pause as many below zero, up to SETTLE, in which the model settles."""
+    used = jnp.where(at.back, -jnp.minimum(state.unread, SETTLE), jnp.minimum(state.unread + 1, 0.0))
+    return jnp.where(at.missing, jnp.maximum(state.unread, 0.0) + 1, used)
 
 
 def _jump(
@@ -195,7 +208,7 @@ def _jump(
     if on.fuzzy is False:
         return none
     unexplained = corrected - 2 * state.q1 + state.q2 - config.dt**2 * reading.qdd
-    unused = at.missing | at.back
+    unused = at.missing | at.back | at.settling
     unexplained = jnp.where(unused, jnp.where(at.wild, reading.q - state.reading, 0.0), unexplained)  # wild ones count
     change = jnp.where(unused, 0.0, e - state.e)
     jump = takagi_sugeno.classify_jump(gains.observer, unexplained, change, b, reading.sensors)

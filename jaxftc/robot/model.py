@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.robot import chain, mjcf, urdf
+from jaxftc.robot import chain, mjcf, plant, urdf
 from jaxftc.robot.chain import Chain
 from jaxftc.robot.chain import Link as Link
 from jaxftc.robot.tree import Tree, point_inertia
@@ -47,7 +47,7 @@ class Robot:
 
     name: str
     mj_model: mujoco.MjModel = dataclasses.field(repr=False)  # the chain alone, a body a hinge, made of the numbers below
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...]  # as in the file; each with its number where two would make one column of a table
     link_names: tuple[str, ...] = dataclasses.field(repr=False)  # the body that each hinge moves
     links: tuple[Link, ...] = dataclasses.field(repr=False)  # with everything that is welded to them
     payload_link: Link = dataclasses.field(repr=False)  # one kilogram at the tool, in the frame of the last hinge
@@ -113,6 +113,22 @@ class Robot:
     def frictionless(self) -> bool:
         """Whether no joint has any friction or motor inertia."""
         return not any(np.any(getattr(self, name)) for name in NOT_NEGATIVE)
+
+    def plant_model(self, dt: float | None = None) -> mujoco.MjModel:
+        """A new MuJoCo model that is this arm: the plant of a control loop of your own, moved by ``mujoco.mj_step``.
+
+        ``data.ctrl[:n]`` are the joints' motors, N m within ``torque_limit``, in place of the file's actuators: a position
+        servo would work against the controller. Motor inertia and viscous friction are the robot's. Coulomb friction is an
+        actuator behind the motors, for each joint that has any: linear up to ``coulomb_speed``, where the robot's is a tanh.
+        There are no shapes, contacts and joint limits. ``mj_model`` is no plant: servos are on in it, and dry friction is off.
+
+        Args:
+            dt: Time of one step, s; that of the file if not given. Take ``config.dt`` and one step a tick.
+
+        Raises:
+            ValueError: dt is not a positive number.
+        """
+        return plant.compiled(self, mujoco_spec(self), dt)
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
@@ -209,7 +225,7 @@ def _from_chain(name: str, found: Chain, source: Source | None) -> Robot:
 
     return _assemble(
         name=name,
-        joint_names=tuple(joint.name for joint in joints),
+        joint_names=_distinct([joint.name for joint in joints]),
         link_names=found.names,
         links=found.links,
         payload_link=found.payload,
@@ -243,6 +259,16 @@ def _assemble(*, tensors: tuple[str, ...], **given: Any) -> Robot:
     body_link = np.concatenate([[-1], np.arange(robot.n), [robot.n - 1]]).astype(np.int32)
     made = {"mj_model": _mujoco(robot), "body_link": body_link, "cautions": (*tensors, *bare)}
     return dataclasses.replace(robot, **made)
+
+
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    """The joints' names, each with its number where the columns of a table could be the same for two.
+
+    Columns are a signal and a joint: ``q_hat_x`` would be ``q_hat`` of ``x`` and ``q`` of ``hat_x``; case does not count.
+    """
+    low = [name.lower() for name in names]
+    same = any(a == b or a.endswith(f"_{b}") for i, a in enumerate(low) for j, b in enumerate(low) if i != j)
+    return tuple(f"{name}_{j + 1}" for j, name in enumerate(names)) if same else tuple(names)
 
 
 def _checked(name: str, values: Any, joints: tuple[str, ...]) -> np.ndarray:

@@ -46,7 +46,7 @@ class State(NamedTuple):
     @property
     def unread(self) -> Array:
         """Ticks [n, ...] since a reading was last used."""
-        return self.observer.unread
+        return jnp.maximum(self.observer.unread, 0.0)
 
 
 class Applied(NamedTuple):

@@ -18,7 +18,7 @@ from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
-from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = False
@@ -84,6 +84,7 @@ def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Ar
     """Angle and speed from a reading [n, ...] rad and the acceleration [n, ...] rad/s^2 of the last tick.
 
     Without a reading both are predicted. When readings come back the angle moves to them; that it had drifted is no speed.
+    Nor is a jump of the reading: no speed is more than a joint's, so that the angle stays where readings can find it.
     """
     predicted = before.q + config.dt * (before.qd + 0.5 * config.dt * qdd)  # the angle at which the speed is not corrected
     missing = ~jnp.isfinite(reading)
@@ -93,6 +94,7 @@ def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Ar
     qd = surface.speed(gains.baseline.speed_weight, before.qd, qdd, start, q, config.dt)
     half = before.half + config.dt * qdd
     half = half + gains.baseline.speed_weight * ((q - start) / config.dt - half)
+    qd, half = (jnp.clip(speed, -reach.SPEED, reach.SPEED) for speed in (qd, half))
     return Motion(q, qd, half, jnp.where(missing, before.unread + 1, 0.0))
 
 

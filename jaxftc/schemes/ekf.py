@@ -10,6 +10,8 @@ g = M qdd + h + D qd + f_c, (M + T D) d qdd = d tau_f - dg, and dg comes by forw
 
 What it cannot know: q and b are told apart by the model alone, q + c and b - c read the same. An encoder that jumps far
 beyond what ``walk_b`` allows is taken for a torque at first. A reading that does not come is predicted and not reported.
+A leap beyond ``SPIKE`` waits for the next reading. Many leaps within a tenth of a second that no joint makes are no random
+walk: such readings are not used, and when they have ended, nothing that was made of them is kept: the belief starts anew.
 """
 
 from __future__ import annotations
@@ -22,15 +24,19 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.diagnosis import alarm, decision
+from jaxftc.diagnosis.sensor_check import JUMP_MEMORY, MANY_JUMPS
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
-from jaxftc.robot import dynamics, rigid_body
+from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = True
 NOISES = ("baseline.noise_y", "baseline.walk_qd", "baseline.walk_psi", "baseline.walk_b")
+
+
+SPIKE = 0.3  # rad in a tick, more than any bias that is worth a look before it has lasted
 
 
 class Belief(NamedTuple):
@@ -44,7 +50,9 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     belief: Belief
-    unread: Array  # [n, ...] ticks since there was a reading
+    unread: Array  # [n, ...] ticks since a reading was last used
+    reading: Array  # [n, ...] rad, last one
+    leaps: Array  # [n, ...] leaky count of those that no joint makes
     alarm: alarm.State
     command: LastCommand
 
@@ -61,17 +69,22 @@ def gains_used(config: Config) -> set[str]:
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
-    """No fault, at rest in q [n, ...] rad: the angle known as well as a reading, the rest for sure."""
+    """No fault, at rest in q [n, ...] rad."""
     zero = jnp.zeros_like(q)
-    cov = diagonal(jnp.broadcast_to(gains.baseline.noise_y**2, q.shape), zero, zero, zero)
-    belief = Belief(jnp.concatenate([q, zero, zero, zero]), cov)
-    return State(belief, zero, alarm.init(config, gains, q), hold(config.robot, q))
+    return State(at_rest(gains.baseline, q), zero, q, zero, alarm.init(config, gains, q), hold(config.robot, q))
 
 
 def step(config: Config, gains: Gains, state: State, reference: Reference, measurement: Measurement) -> tuple[State, Output]:
     """Predict, correct, judge both fault states, track with both taken out."""
     qdd = applied_acceleration(state.command, measurement.tau)
-    belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, measurement.tau), measurement.q)
+    leap = jnp.abs(measurement.q - state.reading) > reach.SPEED * config.dt
+    leaps = JUMP_MEMORY * state.leaps + leap
+    wild = leaps >= MANY_JUMPS
+    used = jnp.where(wild | (jnp.abs(measurement.q - state.reading) > SPIKE), jnp.nan, measurement.q)
+    belief = correct(gains.baseline, predict(config, gains.baseline, state.belief, measurement.tau), used)
+    last = jnp.where(jnp.isfinite(measurement.q), measurement.q, state.reading)
+    over = ((state.leaps >= MANY_JUMPS) & ~wild).any(0)
+    belief = jax.tree.map(lambda new, old: jnp.where(over, new, old), at_rest(gains.baseline, last), belief)
     q, qd, fault_tau, fault_q = parts(belief.mean)
     qd = qd + 0.5 * config.dt * qdd  # q+ - q = T qd+: the integrator's speed is that of half a tick ago (control/surface.py)
     command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
@@ -88,8 +101,15 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         fault_q=fault_q,
         verdict=decision.verdict(alarms.tau, alarms.q),
     )
-    unread = jnp.where(jnp.isfinite(measurement.q), 0.0, state.unread + 1)
-    return State(belief, unread, own, command), output
+    unread = jnp.where(jnp.isfinite(used), 0.0, state.unread + 1)
+    return State(belief, unread, last, leaps, own, command), output
+
+
+def at_rest(gains: BaselineGains, q: Array) -> Belief:
+    """Belief that the arm stands still in q [n, ...] rad: the angle known as well as a reading, the rest for sure."""
+    zero = jnp.zeros_like(q)
+    cov = diagonal(jnp.broadcast_to(gains.noise_y**2, q.shape), zero, zero, zero)
+    return Belief(jnp.concatenate([q, zero, zero, zero]), cov)
 
 
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:
@@ -121,7 +141,7 @@ def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) ->
         at_qd = at_qd + product(slope, columns[: 3 * config.n])
         return jnp.concatenate([at_q + dt * at_qd, at_qd, at_tau, at_b])
 
-    qd = qd + dt * qdd
+    qd = jnp.clip(qd + dt * qdd, -reach.SPEED, reach.SPEED)
     mean = jnp.concatenate([q + dt * qd, qd, fault_tau, b])
     walks = (0.0, gains.walk_qd, gains.walk_psi * inertia, gains.walk_b)
     grown = diagonal(*(jnp.broadcast_to(dt * walk**2, q.shape) for walk in walks))  # Q

@@ -6,19 +6,24 @@ Here the gains are part of the program, the state is one array, and so is what c
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from jaxftc import checks
 from jaxftc.compile.xla import ahead
 from jaxftc.config import Config
-from jaxftc.gains import Gains
+from jaxftc.gains import Gains, check
 from jaxftc.schemes import registry
 from jaxftc.types import Array, Measurement, Output, Reference
 
+_PROCESS = os.getpid()
 _NAMES = ("reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau")
+_TAU = 4  # place of the one signal that may be None
 
 
 class Tick:
@@ -32,9 +37,18 @@ class Tick:
 
     JAX hands CPU programs to a thread of its own, which costs more than this one takes. A control loop does without:
     ``jax.config.update("jax_cpu_enable_async_dispatch", False)`` before JAX is first used.
+
+    JAX does not survive a fork: start other processes with ``multiprocessing.get_context("spawn")``, and make a ``Tick`` in
+    each.
+
+    Raises:
+        ValueError: an argument is of another kind, or a gain is not allowed.
+        RuntimeError: this process was forked.
     """
 
     def __init__(self, config: Config, gains: Gains) -> None:
+        _not_forked()
+        check(config, gains)
         self.config, self.gains = config, gains
         start = registry.init(config, gains, jnp.zeros(config.n))
         flat, unflatten = ravel_pytree(start)
@@ -54,6 +68,8 @@ class Tick:
         Raises:
             ValueError: q has the wrong shape or is not finite.
         """
+        _not_forked()
+        q = checks.filled(q)
         self._one_arm("q", q)
         return ravel_pytree(registry.init(self.config, self.gains, jnp.asarray(q)))[0]
 
@@ -61,15 +77,23 @@ class Tick:
         """One controller tick: the state and what ``jaxftc.step`` says, as NumPy arrays.
 
         Raises:
-            ValueError: a shape is wrong, or the state is not that of this tick.
+            ValueError: an argument is of another kind, a shape is wrong, or the state is not that of this tick.
+            RuntimeError: this process was forked.
         """
+        _not_forked()
+        checks.instance("reference", reference, Reference)
+        checks.instance("measurement", measurement, Measurement)
         signals, shape = self._signals.copy(), self._signals.shape[1:]
         for k, signal in enumerate((*reference, *measurement)):
+            if signal is None and k == _TAU:
+                signals[k] = np.nan
+                continue
             if np.shape(signal) != shape:
                 self._one_arm(_NAMES[k], signal)
-            signals[k] = signal
-        if state.shape != self._shape:
-            raise ValueError(f"state must come from Tick.init, shape {list(self._shape)}, got {list(state.shape)}")
+            signals[k] = checks.filled(signal)
+        if getattr(state, "shape", None) != self._shape:
+            came = list(np.shape(state)) if isinstance(state, jax.Array | np.ndarray) else f"a {type(state).__name__}"
+            raise ValueError(f"state must come from Tick.init, shape {list(self._shape)}, got {came}")
         state, rows = self._step(state, signals)
         out = Output(*np.asarray(rows))
         return state, out._replace(verdict=out.verdict.astype(np.int32), detected=out.detected[0] > 0)
@@ -77,3 +101,12 @@ class Tick:
     def _one_arm(self, name: str, value: Any) -> None:
         if np.shape(value) != (self.config.n,):
             raise ValueError(f"{name} must have shape [{self.config.n}], one arm's joints, got {list(np.shape(value))}")
+
+
+def _not_forked() -> None:
+    """Refuse a forked child at once: JAX's threads did not come along, and the first program that runs would hang."""
+    if os.getpid() != _PROCESS:
+        raise RuntimeError(
+            'this process was forked, and JAX does not survive that; start it with multiprocessing.get_context("spawn") '
+            "and make the Tick there"
+        )

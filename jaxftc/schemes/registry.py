@@ -6,9 +6,11 @@ has the table of schemes and what each must have.
 
 from __future__ import annotations
 
+import functools
 from importlib import import_module
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxftc import checks
@@ -19,8 +21,10 @@ from jaxftc.numerics import smooth
 from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
-from jaxftc.types import Array, Measurement, Output, Reference
+from jaxftc.types import Array, Measurement, Output, Reference, Verdict
 from jaxftc.variants import SCHEMES
+
+LARGEST = 1e12  # of any number in a state: a tick makes no larger one, and overflows float32 on none below
 
 
 def scheme(config: Config) -> Any:
@@ -32,11 +36,13 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
     """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
 
     Raises:
-        ValueError: q has the wrong shape or is not finite, a gain is not allowed, or the observer is unstable with them.
+        ValueError: an argument is of another kind, q has the wrong shape or is not finite, a gain is not allowed, or the
+            observer is unstable with them.
     """
+    check_gains(config, gains)
+    q = checks.filled(q)
     checks.joints_first("q", q, config.n)
     checks.finite("q", q, "give the arm's measured angles in rad")
-    check_gains(config, gains)
     stability.check(config, gains)
     q = jnp.asarray(q, gains.arx.xi_a.dtype)
     return scheme(config).init(config, align(gains, q.ndim - 1), q)
@@ -45,27 +51,39 @@ def init(config: Config, gains: Gains, q: Array) -> Any:
 def step(config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
     """One controller tick: pure, and differentiable in everything but the verdict.
 
+    An arm whose state is not finite, or beyond all that a tick makes, starts anew at its readings, and its verdict of this
+    tick is ``Verdict.UNKNOWN`` for every joint.
+
     Raises:
-        ValueError: a shape is wrong (shapes are known even under a trace; values are checked by ``init``), or the state is
-            that of another scheme.
+        ValueError: an argument is of another kind or a shape is wrong (shapes are known even under a trace; values are
+            checked by ``init``), or the state is that of another scheme.
     """
-    return tick(config, gains, state, reference, measurement, None)
+    check_gains(config, gains)
+    _check_state(config, state)
+    checks.instance("reference", reference, Reference)
+    checks.instance("measurement", measurement, Measurement)
+    reference, measurement = _arrays(config, state.q, reference, measurement)
+    lost = _lost(state)
+    anew = functools.partial(_anew, config, gains, lost, state, measurement.q)
+    state = jax.lax.cond(lost.any(), anew, lambda: state)
+    state, out = tick(config, gains, state, reference, measurement, None)
+    return state, out._replace(
+        verdict=jnp.where(lost, Verdict.UNKNOWN, out.verdict).astype(out.verdict.dtype), detected=out.detected | lost
+    )
 
 
 def tick(
     config: Config, gains: Gains, state: Any, reference: Reference, measurement: Measurement, stages: Stages | None
 ) -> tuple[Any, Output]:
-    """``step``, with the cascade's stages given as data in place of the config's observer and control."""
-    chosen = scheme(config)
-    if not isinstance(state, chosen.State):
-        raise ValueError(
-            f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
-            f"{type(state).__name__}"
-        )
+    """``step`` of a state that is its own, with the cascade's stages given as data in place of the config's.
+
+    The closed loop runs this: no state comes to it from elsewhere, and a run that diverges is to be seen as one.
+    """
+    _check_state(config, state)
     check_gains(config, gains)
-    reference, measurement = _signals(config, state, reference, measurement)
+    reference, measurement = _possible(config, state, *_arrays(config, state.q, reference, measurement))
     beside = {} if stages is None else {"stages": stages}
-    return chosen.step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **beside)
+    return scheme(config).step(config, align(gains, state.q.ndim - 1), state, reference, measurement, **beside)
 
 
 def holding_torque(config: Config, q: Array) -> Array:
@@ -75,28 +93,59 @@ def holding_torque(config: Config, q: Array) -> Array:
     return smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, q))
 
 
-def _signals(config: Config, state: Any, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
-    """Signals as arrays of the right shape, what no arm can do left out of them: what every scheme sees.
+def _check_state(config: Config, state: Any) -> None:
+    if not isinstance(state, scheme(config).State):
+        raise ValueError(
+            f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
+            f"{type(state).__name__}"
+        )
+
+
+def _arrays(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
+    """Signals as arrays of the right shape; a torque that is not known, or masked, is NaN."""
+    tau = jnp.full_like(at, jnp.nan) if measurement.tau is None else measurement.tau
+    signals = [jnp.asarray(checks.filled(signal)) for signal in (*reference, measurement.q, tau)]
+    names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
+    for name, signal in zip(names, signals, strict=True):
+        checks.joints_first(name, signal, config.n)
+    checks.same_shape(["state.q", *names], [at, *signals])
+    return Reference(*signals[:3]), Measurement(*signals[3:])
+
+
+def _possible(config: Config, state: Any, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
+    """Signals without what no arm can do: what every scheme sees.
 
     * A reading further from ``state.q`` than a turn, and than the joint can have turned since one was last used, or outside
-      the joint's range, is absent, as one that is not finite. Nearer than a turn, it is the observer's to judge.
+      the joint's range, is absent: infinite, so that an observer can count it. Nearer than a turn, it is the observer's to judge.
     * A torque is what the limits leave of it; one that is not finite is the last command.
     * A joint whose reference is not finite, or faster or further out than a joint can follow, is held where it is. What the
       limits would leave of such a reference is as little meant, and would move the arm.
     """
-    at, robot = state.q, config.robot
-    q, qd, qdd = map(jnp.asarray, reference)
-    reading, tau = map(jnp.asarray, measurement)
-    names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]
-    for name, signal in zip(names, (q, qd, qdd, reading, tau), strict=True):
-        checks.joints_first(name, signal, config.n)
-    checks.same_shape(["state.q", *names], [at, q, qd, qdd, reading, tau])
-    middle, half = (lanes.trailing_constant(bound, at) for bound in reach.angles(robot))
-    near = jnp.abs(reading - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
-    reading = jnp.where(near & (jnp.abs(reading - middle) <= half), reading, jnp.nan)
-    limit = lanes.trailing_constant(robot.torque_limit, at)
-    tau = smooth.saturate(jnp.where(jnp.isfinite(tau), tau, state.command.tau), limit)
-    slow = (jnp.abs(qd) <= reach.SPEED) & (jnp.abs(qdd) <= reach.ACCELERATION)
+    at, (q, qd, qdd) = state.q, reference
+    middle, half = (lanes.trailing_constant(bound, at) for bound in reach.angles(config.robot))
+    near = jnp.abs(measurement.q - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
+    there = near & (jnp.abs(measurement.q - middle) <= half) if reach.limited(config.robot) else near
+    reading = jnp.where(there, measurement.q, (measurement.q - at) * jnp.inf)
+    limit = lanes.trailing_constant(config.robot.torque_limit, at)
+    tau = smooth.saturate(jnp.where(jnp.isfinite(measurement.tau), measurement.tau, state.command.tau), limit)
+    slow = (jnp.abs(qd) <= reach.REFERENCE_SPEED) & (jnp.abs(qdd) <= reach.REFERENCE_ACCELERATION)
     wanted = slow & (jnp.abs(q - middle) <= half)
     held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
     return held, Measurement(reading, tau)
+
+
+def _lost(state: Any) -> Array:
+    """Where [...] a state holds a number that is not finite or that no tick makes."""
+    axes = state.q.ndim - 1
+    leaves = [(jnp.abs(leaf) <= LARGEST).all(range(leaf.ndim - axes)) for leaf in jax.tree.leaves(state)]
+    return ~functools.reduce(jnp.logical_and, leaves)
+
+
+def _anew(config: Config, gains: Gains, lost: Array, state: Any, reading: Array) -> Any:
+    """The state, at rest at the readings [n, ...] rad where it is lost; without one where it was last, or at zero."""
+    middle, half = (lanes.trailing_constant(bound, reading) for bound in reach.angles(config.robot))
+    q = lanes.trailing_constant(config.robot.q_zero, state.q)
+    for angle in (state.q, reading):
+        q = jnp.where(jnp.abs(angle - middle) <= half, angle, q)
+    fresh = scheme(config).init(config, align(gains, q.ndim - 1), q)
+    return jax.tree.map(lambda new, old: jnp.where(lost, new, old), fresh, state)
