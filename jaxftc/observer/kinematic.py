@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.fuzzy import takagi_sugeno
 from jaxftc.gains import Gains
-from jaxftc.observer import arx, laguerre, pi
+from jaxftc.observer import arx, laguerre
 from jaxftc.observer.takagi_sugeno import Jump
 from jaxftc.types import Array
 
@@ -91,7 +91,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     y_hat = y_hat + shift
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]
     x_a = laguerre.advance(gains.arx.xi_a, x_a, y_hat + own.alpha_p * e)  # Eq. (6)
-    psi = pi.step(config, gains, pi.State(state.psi), pi.Inputs(e))[0].psi
+    psi = state.psi + own.alpha_i * e  # Eq. (6)
     q_hat = y - b
     kept = jnp.where(inputs.alarmed | (jnp.abs(b) >= gains.diagnosis.alpha_q), b, b * (1 - dt / FORGET))
     unread = jnp.where(missing, state.unread + 1, 0.0)
