@@ -16,6 +16,7 @@ from benchmarks.machine import peak
 from benchmarks.results import Results, Setup, Table
 from benchmarks.worker import Failed, environment
 from jaxftc.cli import common
+from jaxftc.io import tables
 
 MAIN = "from jaxftc.cli.main import main; main()"
 # On Linux a process tells its own peak at its end: what the system counts for it begins with its parent's.
@@ -66,16 +67,13 @@ def _command(setup: Setup, words: list[str], cache: Path) -> Ran:
 
 def _campaign(setup: Setup, n: int, out: str, cache: Path) -> tuple[Ran, float | None]:
     """``jaxftc campaign -n``, and its own figure of scenario-steps/s."""
-    import duckdb
-
     folder = setup.folder / out
     words = ["campaign", "-n", str(n), "--out", str(folder), "--json"]
     words += [] if setup.sizes.duration is None else ["--duration", str(setup.sizes.duration)]
     ran = _command(setup, words, cache)
-    with duckdb.connect() as connection:
-        found = connection.execute(
-            "select count(distinct scenario_id) from read_parquet($path)", {"path": str(folder / "chunk-*.parquet")}
-        ).fetchone()
+    with tables.connect() as connection:
+        query = f"select count(distinct scenario_id) from {tables.PARQUET}"
+        found = connection.execute(query, {"files": tables.names(folder.glob("chunk-*.parquet"))}).fetchone()
     rows = found[0] if found else 0
     if rows != n or json.loads(ran.text)["n"] != n:
         raise Failed(f"a campaign of {n} stored {rows} rows and says {json.loads(ran.text)['n']}")

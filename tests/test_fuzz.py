@@ -175,7 +175,8 @@ def test_gains(config, gains_table, tmp_path, data):
     for block, name, _ in specs():
         value = np.asarray(getattr(getattr(gains, block), name))
         assert np.isfinite(value).all()
-        np.testing.assert_allclose(value, np.broadcast_to(table[block][name]["value"], value.shape), rtol=1e-6)
+        asked = np.asarray(table[block][name]["value"], float)
+        np.testing.assert_allclose(value, np.broadcast_to(asked, value.shape), rtol=1e-6)
 
 
 def scaled(value, factor):

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 from benchmarks import arms
-from jaxftc.campaigns import store
 from jaxftc.io import tables
 from jaxftc.io.files import SUFFIX
 
 pytestmark = pytest.mark.slow
-MOMENTS = int(os.environ.get("JAXFTC_MOMENTS", "30"))  # of each command and signal
+MOMENTS = 30  # of each command, the signals in turn
+SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 PROGRAM = "from jaxftc.cli.main import main; main()"
-SHARED = ["--robot", "arm.xml", "--engine", "chain", "--seed", "5", "--out", "run"]
 COMMANDS = {
     "simulate": ["--duration", "0.3"],
     "calibrate": ["--runs", "600", "--false-alarms", "0.05", "--duration", "0.2"],
@@ -32,28 +31,19 @@ TIMES = ("seconds", "scenario_steps_per_s", "rows_kept")  # of a result, which a
 
 
 @pytest.fixture(scope="module")
-def alone(request, tmp_path_factory):
-    """Every command left alone, with its programs in the cache; how long it takes then."""
-    home = tmp_path_factory.mktemp("cache")
+def command(tmp_path_factory):
+    """A command by its name: run it in a folder, ``run`` in it; compiled programs stay in a cache of the module's own."""
+    home = tmp_path_factory.mktemp("home")
+    (home / "arm.xml").write_text(arms.serial(2))
     environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[1])}
-    done = {}
+    shared = ["--robot", str(home / "arm.xml"), "--engine", "chain", "--seed", "5", "--out", "run"]
 
-    def call(command):
-        if command not in done:
-            for name in ("first", "alone"):
-                folder = tmp_path_factory.mktemp(f"{command}-{name}")
-                (folder / "arm.xml").write_text(arms.serial(2))
-                began = time.monotonic()
-                subprocess.run(words(command), cwd=folder, env=environment, check=True, capture_output=True)
-            done[command] = result(folder / "run"), time.monotonic() - began
-        return done[command]
+    def begin(name, folder):
+        words = [sys.executable, "-c", PROGRAM, name, *shared, *COMMANDS[name]]
+        pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+        return subprocess.Popen(words, cwd=folder, env=environment, **pipes)
 
-    call.environment = environment
-    return call
-
-
-def words(command):
-    return [sys.executable, "-c", PROGRAM, command, *SHARED, *COMMANDS[command]]
+    return begin
 
 
 def result(folder):
@@ -71,22 +61,28 @@ def result(folder):
     return json.dumps(found, default=str)
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
-@pytest.mark.parametrize("command", COMMANDS)
-def test_stopped_at_random_moments(command, number, alone, tmp_path):
-    (expected, seconds), chance = alone(command), random.Random(f"{command} {number}")
-    (tmp_path / "arm.xml").write_text(arms.serial(2))
-    environment, stopped, ends = alone.environment, 0, 0
-    folder = tmp_path / "run"
-    while stopped < MOMENTS:
-        running = subprocess.Popen(
-            words(command), cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-        )
+def finish(running):
+    said = running.communicate()[1]
+    assert running.returncode == 0, said
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_stopped_at_random_moments(name, command, tmp_path):
+    for folder in ("first", "alone", "stopped"):
+        (tmp_path / folder).mkdir()
+        began = time.monotonic()
+        if folder != "stopped":
+            finish(command(name, tmp_path / folder))
+            seconds = time.monotonic() - began  # in the end, with programs from the cache
+    expected, chance, stops, ends = result(tmp_path / "alone" / "run"), random.Random(name), 0, 0
+    folder = tmp_path / "stopped" / "run"
+    while stops < MOMENTS:
+        running, number = command(name, tmp_path / "stopped"), SIGNALS[stops % len(SIGNALS)]
         try:
             running.wait(chance.uniform(0.05, seconds))
         except subprocess.TimeoutExpired:
             running.send_signal(number)
-            stopped += 1
+            stops += 1
         said = running.communicate(timeout=60)[1]
         assert running.returncode in (0, -number, 128 + number), said
         assert "Traceback" not in said and "KeyboardInterrupt" not in said
@@ -94,7 +90,6 @@ def test_stopped_at_random_moments(command, number, alone, tmp_path):
             assert result(folder) == expected
             folder.rename(tmp_path / f"end-{ends}")
             ends += 1
-        elif command == "campaign" and folder.is_dir():
-            assert all(store.fault_of(c) in (None, store.ABSENT, store.DAMAGED) for c in store.chunks(folder, 12288, 4096))
-    subprocess.run(words(command), cwd=tmp_path, env=environment, check=True, capture_output=True)
+    finish(command(name, tmp_path / "stopped"))
     assert result(folder) == expected
+    print(f"{name}: {stops} stops, {ends + 1} ends of the same bits")

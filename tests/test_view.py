@@ -16,6 +16,7 @@ import jaxftc
 from jaxftc.cli.main import main, parse
 from jaxftc.cli.view import View
 from jaxftc.io import trace_file
+from jaxftc.io.files import SUFFIX
 from jaxftc.report.figures import COLOURS
 from jaxftc.types import Verdict
 from jaxftc.view import film, looks, offscreen, replay, scene, stage, window
@@ -399,7 +400,7 @@ def test_mp4_plays_in_browsers(trace, backend, tmp_path, capsys):
         assert sum(1 for _ in container.decode(video=0)) == 10
     data = path.read_bytes()
     assert data.index(b"moov") < data.index(b"mdat"), "it starts to play before it has all come"
-    assert not list(tmp_path.glob("*.tmp"))
+    assert not list(tmp_path.glob(f"*{SUFFIX}"))
 
 
 def test_gif_keeps_its_length_and_its_colours(trace, backend, tmp_path, capsys):
