@@ -32,7 +32,6 @@ from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
 from jaxftc.types import Array, Measurement, Output, Reference
 
-
 SPIKE = 0.3  # rad in a tick, more than any bias that is worth a look before it has lasted
 
 
