@@ -315,3 +315,23 @@ def test_the_closed_loop_does_not_depend_on_the_engine(arm):
         np.testing.assert_allclose(getattr(mjx, name), getattr(own, name), rtol=0, atol=1e-6, err_msg=name)
     np.testing.assert_allclose(mjx.out.tau, own.out.tau, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(mjx.out.verdict, own.out.verdict)
+
+
+@pytest.mark.parametrize("arm", [jaxftc.puma560, three_hinges])
+def test_the_plant_model_moves_as_the_arm(arm):
+    robot = arm()
+    model = robot.plant_model(DT)
+    data, draw = mujoco.MjData(model), np.random.default_rng(3)
+    for _ in range(20):
+        q, tau = (
+            draw.uniform(-2, 2, robot.n),
+            1.5 * draw.uniform(-1, 1, robot.n) * robot.torque_limit,
+        )  # also beyond the limits
+        qd = draw.choice([-1, 1], robot.n) * draw.uniform(0.5, 2, robot.n)  # friction is all there, in both directions
+        mujoco.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:], data.ctrl[: robot.n] = q, qd, tau
+        mujoco.mj_step(model, data)
+        within = np.clip(tau, -robot.torque_limit, robot.torque_limit)
+        expected = dynamics.advance(robot, "chain", jaxftc.nominal_plant(robot), q, qd, within, DT)
+        np.testing.assert_allclose(data.qpos, expected[0], atol=1e-9)
+        np.testing.assert_allclose(data.qvel, expected[1], atol=1e-6)

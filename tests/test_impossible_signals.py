@@ -1,6 +1,5 @@
 """No signal and no state makes a wrong answer for long: what no arm can do is not believed, and what is over leaves no trace."""
 
-import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -35,15 +34,15 @@ class Seen(NamedTuple):
     finite: jax.Array
 
 
-def closed_loop(config, gains, q, tell, ticks, state_of=lambda state, broken: state):
-    """Seen [ticks, n, ...] of an arm that is to stay in q [n, ...]; ``tell(k)`` is ``Told`` of tick k."""
+def closed_loop(config, gains, q, tell, ticks, noise, state_of=lambda state, broken: state):
+    """Seen [ticks, n, ...] of an arm that is to stay in q [n, ...]; ``tell(k)`` is ``Told`` of tick k, ``noise`` in rad."""
     plant, still = dynamics.nominal_plant(config.robot), jnp.zeros_like(q)
 
     def tick(carry, k):
         at, speed, tau, state = carry
         told = tell(k)
-        noise = 3e-5 * jax.random.normal(jax.random.fold_in(jax.random.key(5), k), q.shape, q.dtype)
-        reading = jnp.where(told.missing, jnp.nan, jnp.where(jnp.isnan(told.reading), at + noise, told.reading))
+        own = at + noise * jax.random.normal(jax.random.fold_in(jax.random.key(5), k), q.shape, q.dtype)
+        reading = jnp.where(told.missing, jnp.nan, jnp.where(jnp.isnan(told.reading), own, told.reading))
         wanted = [jnp.where(jnp.isnan(told.reference), own, told.reference) for own in (q, still)]
         measured = jaxftc.Measurement(reading, jnp.where(jnp.isnan(told.tau), tau, told.tau))
         state, out = jaxftc.step(config, gains, state_of(state, told.broken), jaxftc.Reference(*wanted, still), measured)
@@ -102,7 +101,7 @@ def held(puma):
         never = np.zeros(shape, bool)
 
         def run(config, gains, q, *told):
-            return closed_loop(config, gains, q, lambda k: Told(*(signal[k] for signal in told)), TICKS)
+            return closed_loop(config, gains, q, lambda k: Told(*(signal[k] for signal in told)), TICKS, 3e-5)
 
         seen = jit(run, static_argnums=0)(config, jaxftc.default_gains(config), q, reading, never, tau, reference, never)
         return jax.tree.map(np.asarray, seen)
@@ -183,7 +182,7 @@ def survives(scheme, scenarios, ticks):
         limit = config.robot.torque_limit[:, None] * (1 + 1e-6)
 
         def run(config, gains, q):
-            seen = closed_loop(config, gains, q, lambda k: everything(config, scenarios, until, k), ticks, spoil)
+            seen = closed_loop(config, gains, q, lambda k: everything(config, scenarios, until, k), ticks, 1e-5, spoil)
             return (
                 seen.finite.all(),
                 (jnp.abs(seen.tau) <= limit).all(),

@@ -523,3 +523,64 @@ def test_a_tool_on_an_earlier_link_and_a_fluid_are_refused():
         compile_robot("odd", small_arm(on_first='<site name="tool"/>'))
     with pytest.raises(ValueError, match=r"wet: air or water \(option density, viscosity\) is not modelled here; remove it"):
         compile_robot("wet", small_arm(option='<option density="1.2"/>'))
+
+
+def test_the_plant_model_has_motors_in_place_of_servos_and_nothing_but_the_arm(tmp_path):
+    servo = '<actuator><position joint="elbow" kp="500" forcerange="-4 5"/></actuator><keyframe><key ctrl="0.3"/></keyframe>'
+    text = TWO_LINKS.replace("</mujoco>", "").replace(
+        TWO_LINKS[TWO_LINKS.index("<actuator>") : TWO_LINKS.index("</mujoco>")], ""
+    )
+    robot = load(tmp_path, text + servo + "</mujoco>")
+    model, data = robot.plant_model(2e-3), mujoco.MjData(robot.plant_model(2e-3))
+    assert (model.opt.timestep, model.ngeom, model.nu) == (2e-3, 0, 4)  # two motors, and the friction of both
+    np.testing.assert_array_equal(robot.torque_limit, [9, 4])
+    data.qpos[:] = [0.5, -0.9]
+    mujoco.mj_forward(model, data)
+    assert not data.qfrc_actuator.any()  # the servo would pull the elbow to zero
+    data.ctrl[:2] = [100.0, -100.0]
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_actuator, [9, -4])
+    data.ctrl[:2], data.qvel[:] = 0.0, [1.0, -1.0]
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_actuator, [-0.5, 0.2])  # dry friction
+    q, qd, tau = (np.array(x)[:, None] for x in ([0.5, -0.9], [0.3, 0.4], [1.0, 2.0]))
+    data.qvel[:], data.ctrl[:2] = qd[:, 0], tau[:, 0]
+    mujoco.mj_forward(model, data)
+    expected = accelerations(robot, "chain", jaxftc.nominal_plant(robot), np.tile(q, 64), np.tile(qd, 64), np.tile(tau, 64))
+    np.testing.assert_allclose(data.qacc, expected[:, 0], rtol=1e-3)
+    with refuses("dt must be a positive, finite number of seconds, got 0"):
+        robot.plant_model(0.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "distinct"),
+    [
+        (("x", "hat_x"), ("x_1", "hat_x_2")),
+        (("J", "j"), ("J_1", "j_2")),
+        (("X", "applied_x"), ("X_1", "applied_x_2")),
+        (("x", "that_x2"), ("x", "that_x2")),
+        (("elbow", "my_elbow_2"), ("elbow", "my_elbow_2")),
+    ],
+)
+def test_joints_that_would_share_a_column_get_their_numbers(tmp_path, names, distinct):
+    import duckdb
+
+    from jaxftc.io import trace_file
+
+    robot = load(tmp_path, TWO_LINKS.replace('"shoulder"', f'"{names[0]}"').replace('"elbow"', f'"{names[1]}"'))
+    assert robot.joint_names == distinct
+    signals = [*jaxftc.Trace._fields[1:-1], *(name for name in jaxftc.Output._fields if name != "detected")]
+    trace = {name: np.full((3, 2), float(k)) + [0, 0.5] for k, name in enumerate(signals)}
+    trace_file.write(tmp_path / "trace.parquet", trace, robot.joint_names)
+    with duckdb.connect() as connection:
+        table = connection.execute("select * from read_parquet($p)", {"p": str(tmp_path / "trace.parquet")}).fetchnumpy()
+    assert len(table) == 2 * len(signals)
+    assert all(table[f"{s}_{j}"][0] == k + 0.5 * i for k, s in enumerate(signals) for i, j in enumerate(robot.joint_names))
+
+
+def test_no_table_is_written_with_two_columns_of_one_name(tmp_path):
+    from jaxftc.io.files import write_parquet
+
+    with refuses("columns 'Q' and 'q' of a.parquet have one name but for their case; rename one"):
+        write_parquet(tmp_path / "a.parquet", {"Q": np.zeros(2), "q": np.ones(2)})
+    assert not list(tmp_path.iterdir())

@@ -1,6 +1,7 @@
 """The packed tick says what ``step`` says."""
 
 import dataclasses
+import multiprocessing
 
 import jax
 import numpy as np
@@ -59,3 +60,92 @@ def test_what_is_not_one_arm_is_refused(config, loop):
         tick.init(angles[7])
     with pytest.raises(ValueError, match=r"state must come from Tick.init, shape \[\d+\], got \[1\]"):
         tick.step(state[:1], reference, jaxftc.Measurement(angles[0], angles[0]))
+
+
+def test_a_torque_that_is_not_known_is_the_last_command_and_a_masked_value_is_not_read(config, loop):
+    tick, _, reference, _ = loop
+    angles, state = np.zeros(config.n), tick.init(np.zeros(config.n))
+    masked = np.ma.masked_array(np.full(config.n, 0.3), mask=[False, True, False])
+
+    def torque(q, tau=None):
+        told = reference, jaxftc.Measurement(q, tau)
+        return tick.step(tick.step(state, *told)[0], *told)[1].tau
+
+    nan = np.full(config.n, np.nan)
+    np.testing.assert_array_equal(torque(angles), torque(angles, nan))
+    np.testing.assert_array_equal(torque(angles, np.ma.masked_all(config.n)), torque(angles, nan))
+    assert not np.array_equal(torque(angles, 0 * angles), torque(angles, nan))
+    np.testing.assert_array_equal(torque(masked), torque(np.where(masked.mask, np.nan, 0.3)))
+
+
+def test_a_state_that_is_lost_starts_anew_and_says_so(config, loop):
+    tick, _, reference, angles = loop
+    still = np.zeros(config.n)
+    state = np.array(tick.init(still))
+    _, healthy = tick.step(state, reference, jaxftc.Measurement(still))
+    for number in (np.nan, np.inf, -1e30):
+        for place in range(0, len(state), 7):
+            spoilt = state.copy()
+            spoilt[place] = number
+            after, out = tick.step(spoilt, reference, jaxftc.Measurement(still))
+            assert (out.verdict == jaxftc.Verdict.UNKNOWN).all() and out.detected
+            assert out.verdict.dtype == np.int32 and jaxftc.Verdict(out.verdict[0]).label == "unknown"
+            assert np.isfinite(np.asarray(after)).all()
+            np.testing.assert_allclose(out.tau, healthy.tau)  # it was at rest there
+            assert (tick.step(after, reference, jaxftc.Measurement(still, out.tau))[1].verdict == 0).all()
+    _, out = tick.step(np.full_like(state, np.nan), reference, jaxftc.Measurement(np.full(config.n, np.nan)))
+    assert np.isfinite(out.tau).all() and (out.verdict == jaxftc.Verdict.UNKNOWN).all()
+
+
+def test_arguments_of_another_kind_are_refused(config, loop):
+    tick, gains, reference, angles = loop
+    measurement, state = jaxftc.Measurement(angles[0], angles[0]), tick.init(angles[0])
+    for step in (tick.step, lambda *told: jaxftc.step(config, gains, jaxftc.init(config, gains, angles[0]), *told[1:])):
+        with pytest.raises(ValueError, match="reference must be a Reference, got a Measurement; arguments in another order"):
+            step(state, measurement, reference)
+        with pytest.raises(ValueError, match="measurement must be a Measurement, got a tuple"):
+            step(state, reference, (angles[0],))
+        with pytest.raises(ValueError, match="reference must be a Reference, got a NoneType"):
+            step(state, None, measurement)
+    with pytest.raises(ValueError, match="state must come from Tick.init, .* got a NoneType"):
+        tick.step(None, reference, measurement)
+    for call in (jaxftc.Tick, lambda c, g: jaxftc.init(c, g, angles[0]), lambda c, g: jaxftc.identify.fit_batch(c, g, None)):
+        with pytest.raises(ValueError, match="config must be a Config, got a NoneType"):
+            call(None, gains)
+        with pytest.raises(ValueError, match="config must be a Config, got a Gains; arguments in another order"):
+            call(gains, config)
+        with pytest.raises(ValueError, match="gains must be a Gains, got a NoneType"):
+            call(config, None)
+    with pytest.raises(ValueError, match="log must be a Log, got a tuple"):
+        jaxftc.identify.fit_batch(config, gains, (angles, angles))
+
+
+def _in_a_child(pipe, calls):
+    for call in calls:
+        try:
+            pipe.send(str(call()))
+        except RuntimeError as error:
+            pipe.send(str(error))
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="this system cannot fork")
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_is_refused_at_once(config, loop):
+    tick, gains, reference, angles = loop
+    state = tick.init(angles[0])
+    measurement = jaxftc.Measurement(angles[0])
+    calls = (
+        lambda: tick.step(state, reference, measurement),
+        lambda: tick.init(angles[0]),
+        lambda: jaxftc.Tick(config, gains),
+    )
+    here, there = multiprocessing.Pipe()
+    child = multiprocessing.get_context("fork").Process(target=_in_a_child, args=(there, calls))
+    child.start()
+    try:
+        for _ in calls:
+            assert here.poll(20), "hangs"
+            assert "this process was forked" in (said := here.recv()) and "spawn" in said
+    finally:
+        child.kill()
+        child.join()

@@ -120,7 +120,7 @@ class Robot:
         ``data.ctrl[:n]`` are the joints' motors, N m within ``torque_limit``, in place of the file's actuators: a position
         servo would work against the controller. Motor inertia and viscous friction are the robot's. Coulomb friction is an
         actuator behind the motors, for each joint that has any: linear up to ``coulomb_speed``, where the robot's is a tanh.
-        There are no shapes, contacts and joint limits. ``mj_model`` is no plant: servos are on in it, and dry friction is off.
+        There are no shapes, contacts and joint limits. ``mj_model`` is no plant: servos are on in it, dry friction is off.
 
         Args:
             dt: Time of one step, s; that of the file if not given. Take ``config.dt`` and one step a tick.

@@ -116,7 +116,7 @@ def _possible(config: Config, state: Any, reference: Reference, measurement: Mea
     """Signals without what no arm can do: what every scheme sees.
 
     * A reading further from ``state.q`` than a turn, and than the joint can have turned since one was last used, or outside
-      the joint's range, is absent: infinite, so that an observer can count it. Nearer than a turn, it is the observer's to judge.
+      the joint's range, is absent: infinite, so that an observer can count it. Nearer, it is the observer's to judge.
     * A torque is what the limits leave of it; one that is not finite is the last command.
     * A joint whose reference is not finite, or faster or further out than a joint can follow, is held where it is. What the
       limits would leave of such a reference is as little meant, and would move the arm.
