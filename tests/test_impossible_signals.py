@@ -1,4 +1,4 @@
-"""No signal and no state makes a wrong answer for long: what no arm can do is not believed, and what is over leaves no trace."""
+"""What no arm can do is not believed, a state that is lost starts anew, and what is over leaves no trace."""
 
 from typing import NamedTuple
 

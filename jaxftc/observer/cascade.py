@@ -174,8 +174,8 @@ def _availability(config: Config, state: State, reading: Reading, frozen: Array,
 def _returned(config: Config, state: State, sensors: SensorStatus, e: Array, b: Array) -> tuple[Array, Array]:
     """Whether a reading that comes back, e [n, ...] rad off a prediction without a fault, has lost its fault b in the pause.
 
-    First, the end of a drift. Its size is not known well, for it moves the arm: a reading is believed that comes back clearly
-    nearer. Second, what is nearer to the prediction is believed. The prediction gets worse with the pause, and the fault is
+    First, the end of a drift. Its size is not known well, for it moves the arm: a reading is believed that comes back
+    clearly nearer. Second, what is nearer to the prediction is believed. The prediction gets worse with the pause, and the fault is
     believed less.
     """
     blind = 0.5 * BLIND * (config.dt * state.unread) ** 2
