@@ -15,7 +15,7 @@ FAR = 20.0  # rad; three turns and more are degrees where the model has no limit
 def in_degrees(robot: Robot, q: np.ndarray) -> str | None:
     """Why the angles [T, n] must be degrees, or None."""
     size = np.abs(q).max(0)
-    ranges = np.where(robot.mj_model.jnt_limited.astype(bool), np.abs(robot.mj_model.jnt_range).max(1), np.inf)
+    ranges = np.maximum(np.abs(robot.q_low), np.abs(robot.q_high))
     beyond = size > np.maximum(1.5 * ranges, TURN + 0.5)
     if beyond.any() and (np.deg2rad(size) <= 1.1 * ranges).all():
         j = int((size / ranges).argmax())

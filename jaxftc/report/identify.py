@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from jaxftc.identify.dynamics import Identified, Share, torques
-from jaxftc.identify.motion import motion
+from jaxftc.identify.physical import Identified, Share, torques
+from jaxftc.identify.derivatives import motion
 from jaxftc.logs.log import Log
 from jaxftc.report.figures import COLOURS, MOST, Panel, by_joint, finish
 from jaxftc.report.page import embed, page, table

@@ -1,6 +1,6 @@
 """The physical model of an arm from healthy logs: links, motor inertia, friction by direction, torque offset and gain.
 
-Regularised least squares toward the robot file's values (``regressor`` has the equation), over all logs::
+Regularised least squares toward the robot file's values (``linear_torque`` has the equation), over all logs::
 
     sum_j |Y_j x - g_j tau_j|^2 / sigma_j^2 + |(x - x_file) / (lambda s)|^2
 
@@ -11,15 +11,15 @@ are not fitted. Links stay such that a body can have them (``consistent``). What
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxftc import checks
 from jaxftc.identify import consistent
-from jaxftc.identify.motion import Motion, motion
-from jaxftc.identify.regressor import LINK, from_link, regressor, to_link
+from jaxftc.identify.derivatives import Motion, motion
+from jaxftc.identify.linear_torque import LINK, from_link, inverse, regressor, to_link
 from jaxftc.logs.log import Log
 from jaxftc.robot.model import Robot
 
@@ -94,13 +94,20 @@ class _Sums(NamedTuple):
         return np.sqrt(np.maximum(square, 0) / max(self.rows[fold], 1))
 
 
-def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequence[float] | None = None) -> Identified:
+def dynamics(
+    robot: Robot,
+    logs: Log | Sequence[Log],
+    *,
+    gain: np.ndarray | Sequence[float] | None = None,
+    tell: Callable[[list[tuple[str, int]]], object] = lambda left: None,
+) -> Identified:
     """The physical model of an arm, from logs of the healthy arm.
 
     Args:
         robot: The file's model; what the logs do not show keeps its values.
         logs: One or more, of ``logs.read``.
         gain: [n] N m for one unit of the torque column; 1 if not given, or found where the logs have currents.
+        tell: Called before the fit with the names and joints (from 1) of parameters that these motions do not determine.
 
     Returns:
         The model, how well it explains held-out parts, and what became of every parameter. It never explains them worse
@@ -129,6 +136,8 @@ def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequ
     for speed in SPEEDS:
         sums = _sums(links, _motor_columns(robot.n, qd, qdd, speed), torque, fold)
         choices.append((_held_out(sums, _fit_folds(robot, sums, file, doubt, 0.3, bodies=False)), 0.3, speed, sums))
+    shown = _fit(robot, choices[1][3].without(None), file, doubt, 1.0, bodies=False)[1]
+    tell([(p.name, p.joint) for p in _parameters(robot, file, file, shown) if p.status == "left"])
     best = min(choice[0] for choice in choices)
     _, _, speed, sums = next(choice for choice in choices if choice[0] <= CLOSE * best)
     tried = [(trust, _fit_folds(robot, sums, file, doubt, trust)) for trust in TRUST]
@@ -153,7 +162,9 @@ def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequ
     return Identified(found, gain, x[-robot.n :], held, tuple(_parameters(robot, file, x, shown)), trust, tuple(notes))
 
 
-def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0) -> Share:
+def judge(
+    robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0, added: Any = 0.0
+) -> Share:
     """How well a model explains the torques of logs; nothing is fitted, so before and after are the same.
 
     Args:
@@ -161,25 +172,26 @@ def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: A
         logs: One or more, of ``logs.read``.
         gain: [n] or one number, N m for one unit of the torque column.
         offset: [n] or one number, N m; model + offset = gain * recorded.
+        added: [n] or one number, N m that reading added to the torques; taken off for the size of the torque as recorded.
 
     Raises:
-        ValueError: a log without torques, or of another arm.
+        ValueError: a log without torques, of another arm, or of currents whose gain is not known.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     _check(robot, logs)
     left, torque = [], []
     for log in logs:
+        if log.unit == "A" and np.all(np.asarray(gain) == 1.0):
+            raise ValueError("the log has currents, and the N m for one ampere are not known; give torque_per_ampere")
         tau = np.broadcast_to(np.asarray(gain, float), robot.n) * np.asarray(log.tau, float)
         left.append(tau - np.asarray(offset, float) - torques(robot, motion(log)))
-        torque.append(tau)
+        torque.append(tau - np.asarray(added, float))
     after = _rms(np.concatenate(left))
     return Share(_rms(np.concatenate(torque)), after, after)
 
 
 def torques(robot: Robot, m: Motion) -> np.ndarray:
     """Torque [T, n] N m that a model needs for a motion, friction and motor inertia included."""
-    from jaxftc.identify.regressor import inverse
-
     return inverse(robot, m.q, m.qd, m.qdd)
 
 
@@ -352,19 +364,14 @@ def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[st
     links = tuple(to_link(link, x[10 * i : 10 * i + 10]) for i, link in enumerate(robot.links))
     for i, length in enumerate(_lengths(robot)):
         if consistent.margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
-            notes.append(f"link {i + 1} is none that a body can have, as it was in the file; M(q) decides whether that matters")
+            notes.append(f"link {robot.link_names[i]!r} is none that a body can have, as it was in the file; M(q) decides whether that matters")
     inertia, viscous, mean, apart = x[10 * n : 14 * n].reshape(4, n)
-    return with_numbers(
-        robot, links=links, armature=inertia, damping=viscous, coulomb_positive=np.maximum(mean + apart, 0),
-        coulomb_negative=np.maximum(mean - apart, 0), coulomb_speed=speed,
-    ), notes  # fmt: skip
-
-
-def with_numbers(robot: Robot, **numbers: Any) -> Robot:
-    """The same arm with other numbers."""
-    import dataclasses
-
-    return dataclasses.replace(robot, **numbers, fingerprint=robot.fingerprint + "!")
+    positive, negative = np.maximum(mean + apart, 0), np.maximum(mean - apart, 0)
+    found = robot.replace(
+        links=links, armature=inertia, damping_positive=viscous, damping_negative=viscous, coulomb_positive=positive,
+        coulomb_negative=negative, coulomb_speed=speed,
+    )  # fmt: skip
+    return found, notes
 
 
 def _parameters(robot: Robot, file: np.ndarray, x: np.ndarray, shown: np.ndarray) -> list[Parameter]:
