@@ -184,8 +184,9 @@ def judge(
         if log.unit == "A" and np.all(np.asarray(gain) == 1.0):
             raise ValueError("the log has currents, and the N m for one ampere are not known; give torque_per_ampere")
         tau = np.broadcast_to(np.asarray(gain, float), robot.n) * np.asarray(log.tau, float)
-        left.append(tau - np.asarray(offset, float) - torques(robot, motion(log)))
-        torque.append(tau - np.asarray(added, float))
+        m = motion(log)  # at the ends of a stretch its speed is not known
+        left.append((tau - np.asarray(offset, float) - torques(robot, m))[m.inside])
+        torque.append((tau - np.asarray(added, float))[m.inside])
     after = _rms(np.concatenate(left))
     return Share(_rms(np.concatenate(torque)), after, after)
 
@@ -285,7 +286,8 @@ def _doubt(robot: Robot, torque: np.ndarray, qd: np.ndarray, qdd: np.ndarray) ->
         parts.append(mass * np.repeat([1.0, length, length**2], [1, 3, 6]))
     size = _rms(torque) + 1e-9
     fast, hard = _rms(qd) + 1e-3, _rms(qdd) + 1e-2
-    return np.concatenate([*parts, size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    return np.concatenate([*parts, np.maximum(motor, np.abs(_file(robot)[10 * robot.n :]))])
 
 
 def _start(
@@ -324,15 +326,16 @@ def _fit(
     n = robot.n
     scaled = doubt.copy()
     scaled[: 10 * n] *= max(trust, 1e-6)
-    size = np.sqrt(sums.c / sums.rows)
-    sigma = 0.2 * size + 1e-9
+    model = np.einsum("p,jpq,q->j", file, sums.h, file)
+    least = 1e-3 * np.sqrt(np.maximum(sums.c, model) / sums.rows) + 1e-9
+    sigma = np.maximum(0.2 * np.sqrt(sums.c / sums.rows), least)
     for _ in range(4):  # the weights are what is left
         weight = 1 / (CORRELATED * sigma**2)
         h = np.einsum("j,jpq->pq", weight, sums.h)
         b = np.einsum("j,jp->p", weight, sums.b)
         x = file + scaled * np.linalg.solve(h * np.outer(scaled, scaled) + np.eye(len(file)), scaled * (b - h @ file))
         left = sums.c - 2 * sums.b @ x + np.einsum("p,jpq,q->j", x, sums.h, x)
-        sigma = np.maximum(np.sqrt(np.maximum(left, 0) / sums.rows), 1e-4 * size + 1e-9)
+        sigma = np.maximum(np.sqrt(np.maximum(left, 0) / sums.rows), least)
     values, vectors = np.linalg.eigh(h * np.outer(doubt, doubt))
     shown = (vectors**2) @ (np.maximum(values, 0) / (1 + np.maximum(values, 0)))
     if not bodies:
@@ -393,8 +396,8 @@ def _first_gain(robot: Robot, motions: list[Motion]) -> np.ndarray:
     model = np.concatenate([torques(robot, m) for m in motions])
     qd, qdd, tau = (np.concatenate([getattr(m, key) for m in motions]) for key in ("qd", "qdd", "tau"))
     for j in range(robot.n):
-        friction = np.stack([np.tanh(qd[:, j] / 0.05), qd[:, j], np.ones(len(qd))], axis=1)
-        columns = np.column_stack([tau[:, j], -friction])  # gain * tau - friction = model
+        motor = _motor_columns(1, qd[:, j : j + 1], qdd[:, j : j + 1], 0.05)[:, 0]
+        columns = np.column_stack([tau[:, j], -motor])  # gain * tau - motor = model
         scale = np.linalg.norm(columns, axis=0) + 1e-12
         found = np.linalg.lstsq(columns / scale, model[:, j], rcond=None)[0] / scale
         left = model[:, j] - columns @ found
