@@ -45,7 +45,7 @@ def motion(seconds: float, rate: float, seed: int, start: float = 0.0) -> tuple[
     a, phase = 0.6 / w / 2, rng.uniform(0, 2 * np.pi, (3, 4))
     angle = w * t[:, None, None] + phase
     q, qd, qdd = (x.sum(2) for x in (a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)))
-    return t, q + [0.2, -0.6, 0.9], qd, qdd
+    return t, q + np.array([0.2, -0.6, 0.9]), qd, qdd
 
 
 def torque(arm: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -60,7 +60,9 @@ def torque(arm: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.nda
     return out + COULOMB * np.tanh(qd / 0.05) + VISCOUS * qd + MOTOR * qdd + OFFSET
 
 
-def table(arm: Robot, seconds: float = 6.0, rate: float = 100.0, seed: int = 1, noise: float = 0.05) -> dict[str, np.ndarray]:
+def table(
+    arm: Robot, seconds: float = 6.0, rate: float = 100.0, seed: int = 1, noise: float = 0.05
+) -> dict[str, np.ndarray]:
     """Columns t, q1, ..., tau1, ... of a log."""
     t, q, qd, qdd = motion(seconds, rate, seed)
     rng = np.random.default_rng(seed)
@@ -71,9 +73,13 @@ def table(arm: Robot, seconds: float = 6.0, rate: float = 100.0, seed: int = 1, 
 
 def write(path: Path, columns: dict, cut: str = ",", comma: bool = False, head: bool = True) -> Path:
     """A text file of columns; numbers as they are, other cells as text."""
-    rows = [[c if isinstance(c, str) else repr(c) if isinstance(c, int) else f"{c:.15g}" for c in row] for row in zip(*columns.values())]  # fmt: skip # noqa: B905
+    rows = [[_cell(c) for c in row] for row in zip(*columns.values(), strict=True)]
     if comma:
         rows = [[cell.replace(".", ",") for cell in row] for row in rows]
     lines = [cut.join(columns)] * head + [cut.join(row) for row in rows]
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def _cell(value) -> str:
+    return value if isinstance(value, str) else str(value) if isinstance(value, int) else f"{value:.15g}"

@@ -61,7 +61,9 @@ WRITTEN = {
     "byte-order mark": lambda path, table: path.write_bytes(b"\xef\xbb\xbf" + small_logs.write(path, table).read_bytes()),
     "Windows": lambda path, table: path.write_bytes(small_logs.write(path, table).read_bytes().replace(b"\n", b"\r\n")),
     "UTF-16": lambda path, table: path.write_bytes(small_logs.write(path, table).read_text().encode("utf-16")),
-    "comments": lambda path, table: path.write_text("# made by hand\n% a remark\n" + small_logs.write(path, table).read_text()),
+    "comments": lambda path, table: path.write_text(
+        "# made by hand\n% a remark\n" + small_logs.write(path, table).read_text()
+    ),
     "head in a comment": lambda path, table: path.write_text("# " + small_logs.write(path, table).read_text()),
     "ur_rtde": lambda path, table: small_logs.write(
         path, our(table, "actual_q_{}", "actual_joint_torques_{}", "timestamp", first=0), " "
@@ -77,9 +79,12 @@ WRITTEN = {
         {"__time": 1.7e9 + table["t"]} | by_name(table, "/joint_states/{joint}/{word}", ("position", "effort"), (2, 0, 1)),
     ),
     "joint names without _joint": lambda path, table: small_logs.write(
-        path, {"t": table["t"]} | {k.replace("_joint", ""): v for k, v in by_name(table, "{word}_{joint}", ("q", "tau")).items()}
+        path,
+        {"t": table["t"]} | {k.replace("_joint", ""): v for k, v in by_name(table, "{word}_{joint}", ("q", "tau")).items()},
     ),
-    "simulate": lambda path, table: small_logs.write(path, {"t": table["t"]} | by_name(table, "{word}_{joint}", ("y", "tau"))),
+    "simulate": lambda path, table: small_logs.write(
+        path, {"t": table["t"]} | by_name(table, "{word}_{joint}", ("y", "tau"))
+    ),
     "joint1_position": lambda path, table: small_logs.write(path, our(table, "joint{}_position", "joint{}_torque", "time")),
     "milliseconds": lambda path, table: small_logs.write(path, table | {"t": 1000 * table["t"]}),
     "microseconds": lambda path, table: small_logs.write(path, table | {"t": 1e6 * table["t"]}),
@@ -87,7 +92,8 @@ WRITTEN = {
         path, table | {"t": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]}
     ),
     "ISO dates": lambda path, table: small_logs.write(
-        path, table | {"t": [str(s) + "Z" for s in np.datetime64("2026-01-02T03:04:05") + (1e6 * table["t"]).astype("m8[us]")]}
+        path,
+        table | {"t": [str(s) + "Z" for s in np.datetime64("2026-01-02T03:04:05") + (1e6 * table["t"]).astype("m8[us]")]},
     ),
     "seconds and nanoseconds": lambda path, table: small_logs.write(
         path,
@@ -105,7 +111,7 @@ WRITTEN = {
     "the last line cut short": lambda path, table: path.write_text(small_logs.write(path, table).read_text() + "6.0,0.1,0."),
     "a stamp twice": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[100]) for k, v in table.items()}),
     "a row again": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[90]) for k, v in table.items()}),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("way", WRITTEN)
@@ -230,23 +236,32 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
     "no angles": (lambda t: without(t, "q1", "q2", "q3"), "the log must have columns q1 to q3 in rad, or q_pan and so on"),
     "an angle missing": (lambda t: without(t, "q2"), "the log must have columns q1 to q3 for the arm's 3 joints"),
     "a torque missing": (lambda t: without(t, "tau3"), "columns tau1 to tau3 for the arm's 3 joints (pan, shoulder_joint"),
-    "text in a cell": (lambda t: t | {"q2": cells(t["q2"], r7="oops")}, "row 7, column 'q2': must be a number in rad, got 'oops'"),
+    "text in a cell": (
+        lambda t: t | {"q2": cells(t["q2"], r7="oops")},
+        "row 7, column 'q2': must be a number in rad, got 'oops'",
+    ),
     "text as torque": (lambda t: t | {"tau1": ["on"] * 600}, "row 1, column 'tau1': must be a number in N m, got 'on'"),
-    "text as time": (lambda t: t | {"t": ["noon"] * 600}, "column 't' must hold the time as numbers or ISO dates, got 'noon'"),
+    "text as time": (
+        lambda t: t | {"t": ["noon"] * 600},
+        "column 't' must hold the time as numbers or ISO dates, got 'noon'",
+    ),
     "a column without numbers": (lambda t: t | {"tau2": [""] * 600}, "column 'tau2' holds no number in any row"),
     "most rows hollow": (
-        lambda t: t | {"q1": np.where(K % 3 == 0, t["q1"], np.nan)}, "400 of 600 rows miss a value, the first is row 2"
+        lambda t: t | {"q1": np.where(K % 3 == 0, t["q1"], np.nan)},
+        "400 of 600 rows miss a value, the first is row 2",
     ),
-    "time that stands": (lambda t: t | {"t": np.zeros(600)}, "column 't' must increase from row to row, it is 0.0 throughout"),
-    "rows in no order": (
-        lambda t: rows(t, np.random.default_rng(0).permutation(600)), "rows, the first is row"
+    "time that stands": (
+        lambda t: t | {"t": np.zeros(600)},
+        "column 't' must increase from row to row, it is 0.0 throughout",
     ),
+    "rows in no order": (lambda t: rows(t, np.random.default_rng(0).permutation(600)), "rows, the first is row"),
     "time backwards": (lambda t: t | {"t": t["t"][::-1]}, "must increase from row to row"),
-    "only gaps": (lambda t: t | {"t": t["t"] + 10.0 * (K // 10)}, "no stretch of 20 rows is without a gap of more than 0.05 s"),
-    "too short": (lambda t: rows(t, slice(0, 60)), "the log has 60 rows at 10 ms, at least 100 are needed"),
-    "rows of another message": (
-        scrambled, "row 100, column of joint 2: 253 rad after"
+    "only gaps": (
+        lambda t: t | {"t": t["t"] + 10.0 * (K // 10)},
+        "no stretch of 20 rows is without a gap of more than 0.05 s",
     ),
+    "too short": (lambda t: rows(t, slice(0, 60)), "the log has 60 rows at 10 ms, at least 100 are needed"),
+    "rows of another message": (scrambled, "row 100, column of joint 2: 253 rad after"),
     "a number of rows of another message": (
         lambda t: {k: np.where((K > 10) & (K < 16), 40.0 * K, v) if k[0] == "q" else v for k, v in t.items()},
         "such rows, the last is row 17: they are no readings of this arm, so cut them out of the file",
@@ -256,33 +271,42 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
         "column of torque 2 (shoulder_joint) goes against gravity and friction at slow motion: its sign is turned round",
     ),
     "torque turned round, no gravity on it": (
-        lambda t: t | {"tau1": -t["tau1"]}, "column of torque 1 (pan) goes against gravity and friction at slow motion"
+        lambda t: t | {"tau1": -t["tau1"]},
+        "column of torque 1 (pan) goes against gravity and friction at slow motion",
     ),
     "torques swapped": (
         lambda t: t | {"tau2": t["tau3"], "tau3": t["tau2"]},
         "columns of torque 2 and 3 (shoulder_joint, elbow_joint) fit each other's joint at slow motion: they are swapped",
     ),
     "angle turned round": (
-        lambda t: t | {"q2": -t["q2"]}, "column of angle 2 (shoulder_joint) makes the torques fit when its sign is turned round"
+        lambda t: t | {"q2": -t["q2"]},
+        "column of angle 2 (shoulder_joint) makes the torques fit when its sign",
     ),
     "angles swapped": (
         lambda t: t | {"q2": t["q3"], "q3": t["q2"]},
         "columns of angle 2 and 3 (shoulder_joint, elbow_joint) make the torques fit when they are swapped",
     ),
     "a dead torque": (
-        lambda t: t | {"tau2": np.zeros(600)}, "column of torque 2 (shoulder_joint) is 0 in every row while the joint moves"
+        lambda t: t | {"tau2": np.zeros(600)},
+        "column of torque 2 (shoulder_joint) is 0 in every row while the joint moves",
     ),
-    "faster than recorded": (
-        half_rate, "the log has a row every 20 ms (50 Hz) and 1 ms are wanted", {"dt": 0.001}
-    ),
+    "faster than recorded": (half_rate, "the log has a row every 20 ms (50 Hz) and 1 ms are wanted", {"dt": 0.001}),
     "a column that is not there": (lambda t: t, "column q1 must be one of 't', 'q1'", {"columns": {"q1": "nope"}}),
-    "some columns only": (lambda t: t, "--columns names some of q1 to q3, but not q2", {"columns": {"q1": "q2", "q3": "q1"}}),
+    "some columns only": (
+        lambda t: t,
+        "--columns names some of q1 to q3, but not q2",
+        {"columns": {"q1": "q2", "q3": "q1"}},
+    ),
     "a name that is not ours": (lambda t: t, "--columns must be one of 't', 'q1'", {"columns": {"angle": "q1"}}),
     "a torque constant of 0": (lambda t: t, "torque_per_ampere must be one number or 3", {"torque_per_ampere": 0.0}),
-    "too many torque constants": (lambda t: t, "torque_per_ampere must be one number or 3", {"torque_per_ampere": [1.0, 2.0]}),
+    "too many torque constants": (
+        lambda t: t,
+        "torque_per_ampere must be one number or 3",
+        {"torque_per_ampere": [1.0, 2.0]},
+    ),
     "a sample time of 0": (lambda t: t, "dt must be a positive, finite number of seconds", {"dt": 0.0}),
     "the same name twice": (lambda t: {**t, " q1": t["q1"]}, "two columns are named 'q1'"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("defect", REFUSED)
@@ -341,44 +365,47 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
     "a short gap": (lambda t: gap(t, 100, 103), "1 gaps of up to 40 ms bridged by straight lines"),
     "a long gap": (lambda t: gap(t, 100, 150), "cut into 2 segments at gaps of more than 50 ms, after t = 0.99 s"),
     "two recordings in one file": (
-        lambda t: {k: np.r_[v, v] for k, v in t.items()}, "the clock starts anew at row 601; taken as 2 recordings"
+        lambda t: {k: np.r_[v, v] for k, v in t.items()},
+        "the clock starts anew at row 601; taken as 2 recordings",
     ),
-    "jitter": (
-        lambda t: t | {"t": t["t"] + 0.002 * np.sin(7.0 * K)}, "resampled to 10 ms"
-    ),
+    "jitter": (lambda t: t | {"t": t["t"] + 0.002 * np.sin(7.0 * K)}, "resampled to 10 ms"),
     "hollow cells": (
-        lambda t: t | {"q2": np.where(K == 9, np.nan, t["q2"])}, "1 rows with a missing value left out, the first is row 10"
+        lambda t: t | {"q2": np.where(K == 9, np.nan, t["q2"])},
+        "1 rows with a missing value left out, the first is row 10",
     ),
     "empty cells": (
-        lambda t: t | {"q2": cells(t["q2"], r5="", r6="NA")}, "2 rows with a missing value left out, the first is row 5"
+        lambda t: t | {"q2": cells(t["q2"], r5="", r6="NA")},
+        "2 rows with a missing value left out, the first is row 5",
     ),
-    "degrees": (
-        lambda t: {k: np.rad2deg(v) if k[0] == "q" else v for k, v in t.items()}, "angles are in degrees (joint"
-    ),
+    "degrees": (lambda t: {k: np.rad2deg(v) if k[0] == "q" else v for k, v in t.items()}, "angles are in degrees (joint"),
     "a wrap": (
-        lambda t: t | {"q3": (t["q3"] + 2.2 + np.pi) % (2 * np.pi) - np.pi}, "steps of a whole turn undone:", {"check": False}
+        lambda t: t | {"q3": (t["q3"] + 2.2 + np.pi) % (2 * np.pi) - np.pi},
+        "steps of a whole turn undone:",
+        {"check": False},
     ),
-    "no torques": (
-        lambda t: without(t, "tau1", "tau2", "tau3"), "the file has no torques: readings alone are judged"
-    ),
+    "no torques": (lambda t: without(t, "tau1", "tau2", "tau3"), "the file has no torques: readings alone are judged"),
     "currents by name": (
         lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="actual_current_{}"),
         "torques are currents in A, and the N m for one are not known",
     ),
     "currents without a word": (
-        lambda t: {k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, "the torque columns look like another unit"
+        lambda t: {k: v / 9 if k[:3] == "tau" else v for k, v in t.items()},
+        "the torque columns look like another unit",
     ),
     "currents with their constant": (
         lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="i_{} [A]"),
-        "torques are the columns times 9. N m", {"torque_per_ampere": 9.0},
+        "torques are the columns times 9. N m",
+        {"torque_per_ampere": 9.0},
     ),
     "no time but a sample time": (
-        lambda t: without(t, "t"), "no column of time: rows are 10 ms apart, as given", {"dt": 0.01}
+        lambda t: without(t, "t"),
+        "no column of time: rows are 10 ms apart, as given",
+        {"dt": 0.01},
     ),
     "milliseconds": (lambda t: t | {"t": 1000 * t["t"]}, "time is in ms"),
     "other names": (lambda t: our(t, q="actual_q_{}"), "angle taken from actual_q_1 to actual_q_3"),
     "a decimal comma": (lambda t: t, "numbers have a decimal comma"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("oddity", NOTED)

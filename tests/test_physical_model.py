@@ -104,25 +104,27 @@ def test_what_the_motions_do_not_show_stays(arm, recorded):
     q = np.stack([table[f"q{j}"] for j in (1, 2, 3)], 1)
     q[:, 2] = 0.5
     still = logs.Log(q, np.zeros_like(q), dt=0.01)
-    model = identify.dynamics(arm, still._replace(tau=1e-3 * np.random.default_rng(0).standard_normal(q.shape)), tell=told.extend)
+    model = identify.dynamics(
+        arm, still._replace(tau=1e-3 * np.random.default_rng(0).standard_normal(q.shape)), tell=told.extend
+    )
     assert np.isfinite(model.held_out.after).all()
 
 
 def test_poor_logs_do_not_make_the_model_worse(arm):
     """Two seconds of one joint, in noise: plain least squares would throw the other parameters anywhere."""
-    t, q, qd, qdd = small_logs.motion(3, 100, 7)
+    _, q, qd, qdd = small_logs.motion(3, 100, 7)
     q = np.stack([q[:, 0], np.full(300, -0.6), np.full(300, 0.9)], 1)
     qd, qdd = qd * [1, 0, 0], qdd * [1, 0, 0]
     tau = inverse(arm, q, qd, qdd) + 0.3 * np.random.default_rng(0).standard_normal(q.shape)
     model = identify.dynamics(arm, logs.Log(q, tau, dt=0.01))
     assert model.held_out.share_after <= model.held_out.share_before
-    t, q, qd, qdd = small_logs.motion(6, 100, 8)
+    _, q, qd, qdd = small_logs.motion(6, 100, 8)
     other = logs.Log(q, inverse(arm, q, qd, qdd), dt=0.01)
     assert identify.judge(model.robot, other, offset=model.offset).share_after < 0.25
 
 
 def test_an_exact_file_is_kept(arm):
-    t, q, qd, qdd = small_logs.motion(6, 100, 9)
+    _, q, qd, qdd = small_logs.motion(6, 100, 9)
     model = identify.dynamics(arm, logs.Log(q, inverse(arm, q, qd, qdd), dt=0.01))
     assert model.held_out.share_after <= model.held_out.share_before < 0.05
 
@@ -142,7 +144,7 @@ def test_the_gain_of_currents_is_found(arm, folder):
 
 
 def test_stretches_are_taken_one_by_one(arm):
-    t, q, qd, qdd = small_logs.motion(6, 100, 2)
+    _, q, qd, qdd = small_logs.motion(6, 100, 2)
     keep = np.r_[0:250, 330:600]
     cut = logs.Log(q[keep], np.zeros((520, 3)), dt=0.01, segments=((0, 250), (250, 520)))
     m = identify.motion(cut)
@@ -151,9 +153,9 @@ def test_stretches_are_taken_one_by_one(arm):
 
 
 def test_the_encoder_is_seen(arm):
-    t, q, *_ = small_logs.motion(10, 100, 4)
+    q = small_logs.motion(10, 100, 4)[1]
     count = 2 * np.pi / 4096
-    resolution, noise = identify.encoder([logs.Log(count * np.round(q / count), q, dt=0.01)])
+    resolution, _ = identify.encoder([logs.Log(count * np.round(q / count), q, dt=0.01)])
     np.testing.assert_allclose(resolution, count, rtol=1e-6)
     noisy = q + 1e-4 * np.random.default_rng(0).standard_normal(q.shape)
     np.testing.assert_allclose(identify.encoder([logs.Log(noisy, q, dt=0.01)])[1], 1e-4, rtol=0.3)
@@ -176,9 +178,9 @@ def run(capsys, *words):
 
 
 def test_the_command_writes_an_arm_that_explains_other_logs(arm, folder, recorded, capsys, tmp_path):
-    paths = recorded[0]
+    paths, words = recorded[0], ("--json", "--no-compilation-cache")
     out = tmp_path / "arm"
-    made = run(capsys, "identify", *paths[:3], "--robot", folder / "small.urdf", "--out", out, "--json", "--no-compilation-cache")
+    made = run(capsys, "identify", *paths[:3], "--robot", folder / "small.urdf", "--out", out, *words)
     assert made["sample_time_s"] == 0.01 and made["held_out"]["share_after"] < 0.02 < made["held_out"]["share_before"]
     assert len(made["held_out"]["torque_rms_nm"]) == len(made["held_out"]["after_rms_nm"]) == 3
     assert {"name", "joint", "unit", "before", "after", "status"} <= made["parameters"][0].keys()
@@ -188,9 +190,7 @@ def test_the_command_writes_an_arm_that_explains_other_logs(arm, folder, recorde
     table = tomllib.loads((out / "arm.toml").read_text())
     assert table["log"]["sample_time_s"] == 0.01 and "pan" in table["joints"]
     assert load_robot(out).coulomb_positive[0] == pytest.approx(3.0, rel=0.1)
-    judged = run(
-        capsys, "identify", paths[3], "--robot", out, "--judge", "--out", tmp_path / "judge", "--json", "--no-compilation-cache"
-    )
+    judged = run(capsys, "identify", paths[3], "--robot", out, "--judge", "--out", tmp_path / "judge", *words)
     held = judged["held_out"]
     np.testing.assert_allclose(held["after_rms_nm"], 0.05, rtol=0.3)
     assert held["share_before"] == held["share_after"] and judged["parameters"] == []

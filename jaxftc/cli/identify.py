@@ -83,18 +83,26 @@ class Identify(LogOptions):
     cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
     """Keep compiled programs between runs, in the user's cache folder."""
 
+    @property
+    def _as_options(self) -> Any:
+        """The options of every command that this one has: out, json, cache."""
+        return self
+
     def run(self) -> None:
         """Read, fit or judge, write."""
         if not self.logs:
             raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
-        common.prepare(self)  # pyright: ignore[reportArgumentType]
+        common.prepare(self._as_options)
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
-        folder = common.make_folder(self, "identify")
+        folder = common.make_folder(self._as_options, "identify")
         record = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
         record = {"sample_time_s": found[0].dt} | record | {"logs": [str(path) for path in self.logs], "robot": self.robot}
         text = common.write_json(folder / "result.json", record)
-        common.say(self, f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}")
+        common.say(
+            self._as_options,
+            f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}",
+        )
         if self.json:
             print(text)
 
@@ -102,7 +110,7 @@ class Identify(LogOptions):
         from jaxftc.identify import judge
 
         held = judge(arm.robot, logs, added=arm.recording.torque_offset or 0.0)
-        common.say(self, share_lines(held, arm.robot.joint_names, judged=True))
+        common.say(self._as_options, share_lines(held, arm.robot.joint_names, judged=True))
         return {"held_out": as_json(held), "parameters": []}
 
     def _fit(self, arm: Arm, logs: list[Log], folder: Path) -> dict[str, Any]:
@@ -112,10 +120,10 @@ class Identify(LogOptions):
         from jaxftc.robot.arm_file import save_arm
 
         names = arm.robot.joint_names
-        found = dynamics(arm.robot, logs, tell=lambda left: common.say(self, shown_lines(left, names)))
+        found = dynamics(arm.robot, logs, tell=lambda left: common.say(self._as_options, shown_lines(left, names)))
         for note in found.notes:
-            common.say(self, note)
-        common.say(self, share_lines(found.held_out, arm.robot.joint_names, judged=False))
+            common.say(self._as_options, note)
+        common.say(self._as_options, share_lines(found.held_out, arm.robot.joint_names, judged=False))
         save_arm(folder, self._arm(arm, found, logs))
         write_text(folder / "report.html", identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}"))
         return {
@@ -126,7 +134,6 @@ class Identify(LogOptions):
             "trust": found.trust,
             "notes": [*found.notes],
         }
-
 
     def _arm(self, arm: Arm, found: Identified, logs: list[Log]) -> Arm:
         """The arm with what was found, and how its logs are read."""

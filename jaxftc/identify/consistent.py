@@ -91,7 +91,7 @@ def solve(
     return x
 
 
-def _line_search(h, b, x, step, fall, weight, least, positive):  # noqa: ANN001, ANN202
+def _line_search(h, b, x, step, fall, weight, least, positive):
     start, size = _cost(h, b, x, weight, least, positive), 1.0
     while size > 1e-9:
         tried = x + size * step
@@ -101,7 +101,7 @@ def _line_search(h, b, x, step, fall, weight, least, positive):  # noqa: ANN001,
     return x
 
 
-def _cost(h, b, x, weight, least, positive) -> float:  # noqa: ANN001
+def _cost(h, b, x, weight, least, positive) -> float:
     room = positive @ x
     if (room <= 0).any():
         return np.inf

@@ -1,8 +1,8 @@
 """Speed and acceleration of a recorded motion: a low-pass without lag, its band found in the readings.
 
 Where the spectrum of a joint's angle meets the encoder's noise, nothing of the motion is left to differentiate. Above some
-10 Hz arms swing in their gears, which no rigid model has, so the band ends there. Each joint gets a Butterworth filter of its
-band, forward and backward, and differences of what comes out.
+10 Hz arms swing in their gears, which no rigid model has, so the band ends there. Each joint gets a Butterworth filter of
+its band, forward and backward, and differences of what comes out.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def encoder(logs: list[Log]) -> tuple[np.ndarray, np.ndarray]:
         counts = [np.unique(np.round(column[column > 1e-7], 9)) for column in steps.T]
         resolution.append([_count(column) for column in counts])
         start, stop = max(log.stretches, key=lambda s: s[1] - s[0])
-        fourth = np.diff(np.asarray(log.q, float)[start:stop], 4, axis=0) / np.sqrt(70)  # the motion is gone, the noise is not
+        fourth = np.diff(np.asarray(log.q, float)[start:stop], 4, axis=0) / np.sqrt(70)  # of noise
         noise.append(1.4826 * np.median(np.abs(fourth), axis=0))
     return np.max(resolution, axis=0), np.median(noise, axis=0)
 

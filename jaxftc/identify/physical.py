@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.identify import consistent
+from jaxftc.identify.consistent import inward, margin, solve
 from jaxftc.identify.derivatives import Motion, motion
 from jaxftc.identify.linear_torque import LINK, from_link, inverse, regressor, to_link
 from jaxftc.logs.log import Log
@@ -125,8 +125,12 @@ def dynamics(
         notes.append(f"torque for one ampere, found on the file's model: {_listed(gain)} N m")
     gain = np.ones(robot.n) if gain is None else np.broadcast_to(np.asarray(gain, float), robot.n)
     folds = _folds(motions)
-    taken = [np.flatnonzero(m.inside)[:: max(1, sum(len(x.q) for x in motions) // MOST_ROWS)] for m in motions]
-    q, qd, qdd, tau = (np.concatenate([getattr(m, key)[k] for m, k in zip(motions, taken, strict=True)]) for key in ("q", "qd", "qdd", "tau"))  # fmt: skip
+    every = max(1, sum(len(m.q) for m in motions) // MOST_ROWS)
+    taken = [np.flatnonzero(m.inside)[::every] for m in motions]
+    q, qd, qdd, tau = (
+        np.concatenate([getattr(m, key)[k] for m, k in zip(motions, taken, strict=True)])
+        for key in ("q", "qd", "qdd", "tau")
+    )
     fold = np.concatenate([f[k] for f, k in zip(folds, taken, strict=True)])
     links = regressor(robot, q, qd, qdd)
     torque = gain * tau
@@ -162,9 +166,7 @@ def dynamics(
     return Identified(found, gain, x[-robot.n :], held, tuple(_parameters(robot, file, x, shown)), trust, tuple(notes))
 
 
-def judge(
-    robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0, added: Any = 0.0
-) -> Share:
+def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0, added: Any = 0.0) -> Share:
     """How well a model explains the torques of logs; nothing is fitted, so before and after are the same.
 
     Args:
@@ -244,7 +246,7 @@ def _motor_columns(n: int, qd: np.ndarray, qdd: np.ndarray, speed: float) -> np.
 
 
 def _sums(links: np.ndarray, motor: np.ndarray, torque: np.ndarray, fold: np.ndarray) -> _Sums:
-    rows, n, p = links.shape
+    _, n, p = links.shape
     folds = np.unique(fold)
     h, b = np.zeros((len(folds), n, p + 5 * n, p + 5 * n)), np.zeros((len(folds), n, p + 5 * n))
     c, count = np.zeros((len(folds), n)), np.zeros(len(folds))
@@ -298,12 +300,12 @@ def _start(
     x, links, free = file.copy(), [], shown >= SHOWN
     for i, length in enumerate(_lengths(robot)):
         place = slice(10 * i, 10 * i + 10)
-        inside = consistent.margin(file[place], length)
+        inside = margin(file[place], length)
         if inside < -IMPOSSIBLE or not free[place].any():
             continue
         links.append(i)
         if inside < EDGE:
-            x[place], free[place] = consistent.inward(file[place], length), True
+            x[place], free[place] = inward(file[place], length), True
     rows = np.zeros((4 * n, p))
     for j in range(n):
         inertia, viscous, mean, apart = (10 * n + k * n + j for k in range(4))
@@ -329,6 +331,7 @@ def _fit(
     model = np.einsum("p,jpq,q->j", file, sums.h, file)
     least = 1e-3 * np.sqrt(np.maximum(sums.c, model) / sums.rows) + 1e-9
     sigma = np.maximum(0.2 * np.sqrt(sums.c / sums.rows), least)
+    h, b, x = np.empty(0), np.empty(0), file
     for _ in range(4):  # the weights are what is left
         weight = 1 / (CORRELATED * sigma**2)
         h = np.einsum("j,jpq->pq", weight, sums.h)
@@ -344,7 +347,7 @@ def _fit(
     if trust == 0:
         x[: 10 * n], links, free[: 10 * n] = file[: 10 * n], [], False
     prior = 1 / scaled**2
-    return consistent.solve(h + np.diag(prior), b + prior * file, x, links, positive, free), shown
+    return solve(h + np.diag(prior), b + prior * file, x, links, positive, free), shown
 
 
 CORRELATED = 20.0  # rows that say the same: residuals of real arms are friction, not noise, and last some tenths of a second
@@ -366,8 +369,10 @@ def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[st
     n, notes = robot.n, []
     links = tuple(to_link(link, x[10 * i : 10 * i + 10]) for i, link in enumerate(robot.links))
     for i, length in enumerate(_lengths(robot)):
-        if consistent.margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
-            notes.append(f"link {robot.link_names[i]!r} is none that a body can have, as it was in the file; M(q) decides whether that matters")
+        if margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
+            notes.append(
+                f"link {robot.link_names[i]!r} is none that a body can have, as in the file; see that M(q) is positive"
+            )
     inertia, viscous, mean, apart = x[10 * n : 14 * n].reshape(4, n)
     positive, negative = np.maximum(mean + apart, 0), np.maximum(mean - apart, 0)
     found = robot.replace(

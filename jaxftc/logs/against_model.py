@@ -39,7 +39,9 @@ def gravity(robot: Robot, q: np.ndarray) -> np.ndarray:
         return np.asarray(_gravity(robot, jnp.asarray(q.T, float))).T
 
 
-def doubts(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, *, amperes: bool = False) -> tuple[list[str], list[str]]:
+def doubts(
+    robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, *, amperes: bool = False
+) -> tuple[list[str], list[str]]:
     """What is wrong with columns, and what is only noticed, one line each; from angles, speeds and torques [T, n].
 
     ``amperes`` says that the torques are currents, with a gain that is not known.
@@ -55,7 +57,7 @@ def doubts(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, *, ampe
     q, qd, tau = q[slow], qd[slow], tau[slow]
     plain = _batch(robot, q, [(np.arange(robot.n), np.ones(robot.n))])[0]
     rest, gain = _unexplained(plain, qd, tau)
-    doubted = [j for j in np.flatnonzero(rest > BAD) if j not in dead]
+    doubted = [int(j) for j in np.flatnonzero(rest > BAD) if j not in dead]
     if not doubted:
         return lines, _unit(robot, plain, tau, gain, rest, amperes)
     ways = _torques(robot, plain, qd, tau, doubted) + _angles(robot, q, qd, tau)
@@ -76,7 +78,7 @@ def _batch(robot: Robot, q: np.ndarray, ways: list[tuple[np.ndarray, np.ndarray]
 
 
 def _unexplained(held: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share of each torque's spread [n] that gravity, friction (both of their own sign) and an offset leave; gravity's gain."""
+    """Share of each torque's spread [n] that gravity, friction and an offset leave, and gravity's gain."""
     n, one = tau.shape[1], np.ones(len(tau))
     rest, gain = np.zeros(n), np.zeros(n)
     for j in range(n):
@@ -90,9 +92,7 @@ def _unexplained(held: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> tuple[np.
     return rest, gain
 
 
-def _torques(
-    robot: Robot, held: np.ndarray, qd: np.ndarray, tau: np.ndarray, doubted: list[int]
-) -> list[tuple[float, str]]:
+def _torques(robot: Robot, held: np.ndarray, qd: np.ndarray, tau: np.ndarray, doubted: list[int]) -> list[tuple[float, str]]:
     """Hypotheses about torque columns, each with what it leaves unexplained."""
     n, names, out = robot.n, robot.joint_names, []
     for j in doubted:
@@ -107,8 +107,8 @@ def _torques(
             order = np.arange(n)
             order[[j, k]] = k, j
             line = (
-                f"columns of torque {j + 1} and {k + 1} ({names[j]}, {names[k]}) fit each other's joint at slow motion: they "
-                "are swapped; give --columns with the right ones"
+                f"columns of torque {j + 1} and {k + 1} ({names[j]}, {names[k]}) fit each other's joint at slow motion: "
+                "they are swapped; give --columns with the right ones"
             )
             out.append((float(_unexplained(held, qd, tau[:, order])[0].sum()), line))
     return out
@@ -121,16 +121,16 @@ def _angles(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> lis
     for j in range(n):
         ways.append((np.arange(n), np.where(np.arange(n) == j, -1.0, 1.0)))
         lines.append(
-            f"column of angle {j + 1} ({names[j]}) makes the torques fit when its sign is turned round; give --columns with a "
-            f"minus before its name (q{j + 1}=-NAME)"
+            f"column of angle {j + 1} ({names[j]}) makes the torques fit when its sign is turned round; give --columns with "
+            f"a minus before its name (q{j + 1}=-NAME)"
         )
     for j, k in itertools.combinations(range(n), 2):
         order = np.arange(n)
         order[[j, k]] = k, j
         ways.append((order, np.ones(n)))
         lines.append(
-            f"columns of angle {j + 1} and {k + 1} ({names[j]}, {names[k]}) make the torques fit when they are swapped; give "
-            "--columns with the right ones"
+            f"columns of angle {j + 1} and {k + 1} ({names[j]}, {names[k]}) make the torques fit when they are swapped; "
+            "give --columns with the right ones"
         )
     held = _batch(robot, q, ways)
     return [
@@ -139,9 +139,7 @@ def _angles(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> lis
     ]
 
 
-def _unit(
-    robot: Robot, held: np.ndarray, tau: np.ndarray, gain: np.ndarray, rest: np.ndarray, amperes: bool
-) -> list[str]:
+def _unit(robot: Robot, held: np.ndarray, tau: np.ndarray, gain: np.ndarray, rest: np.ndarray, amperes: bool) -> list[str]:
     sure = (gain > 0) & (rest < BAD) & (gain * held.std(0) > WEAK * tau.std(0))
     if amperes or sure.sum() < 2 or not ((gain[sure] < 0.4).all() or (gain[sure] > 2.5).all()):
         return []
