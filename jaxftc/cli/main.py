@@ -24,6 +24,7 @@ COMMANDS = {
     "inspect": "jaxftc.cli.inspect:Inspect",
     "simulate": "jaxftc.cli.simulate:Simulate",
     "campaign": "jaxftc.cli.campaign:Campaign",
+    "identify": "jaxftc.cli.identify:Identify",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
     "view": "jaxftc.cli.view:View",
 }

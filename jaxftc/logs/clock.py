@@ -135,7 +135,7 @@ def resample(
     times, out, segments, length = [], [[] for _ in values], [], 0
     for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
         t = rows.t[start:stop]
-        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
+        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-3)) + 1  # stamps may be of single precision
         grid = t[0] + dt * np.arange(ticks)
         even = len(t) == ticks and np.allclose(t, grid, rtol=0, atol=1e-6 + 1e-3 * dt)
         for column, value in zip(out, values, strict=True):

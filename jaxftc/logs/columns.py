@@ -12,13 +12,64 @@ from typing import NamedTuple
 
 from jaxftc import checks
 
-ANGLE = ("q", "y", "actualq", "stateq", "qactual", "measuredq", "qmeas", "qpos", "position", "positions", "pos", "jointposition",
-         "jointpositions", "jointpos", "jointangle", "angle", "theta", "actualposition", "presentposition", "observationstate")  # fmt: skip
-TORQUE = ("tau", "torque", "effort", "efforts", "tauj", "statetauj", "taumeasured", "actualtau", "actualtorque", "jointtorque",
-          "jointtorques", "jointeffort", "actualjointtorques", "measuredtorque", "observationeffort", "observationtorque",
-          "presenttorque")  # fmt: skip
-CURRENT = ("actualcurrent", "current", "i", "currents", "jointcurrent", "motorcurrent", "presentcurrent", "measuredcurrent",
-           "observationcurrent")  # fmt: skip
+ANGLE = tuple(
+    [
+        "q",
+        "y",
+        "actualq",
+        "stateq",
+        "qactual",
+        "measuredq",
+        "qmeas",
+        "qpos",
+        "position",
+        "positions",
+        "pos",
+        "jointposition",
+        "jointpositions",
+        "jointpos",
+        "jointangle",
+        "angle",
+        "theta",
+        "actualposition",
+        "presentposition",
+        "observationstate",
+    ]
+)
+TORQUE = tuple(
+    [
+        "tau",
+        "torque",
+        "effort",
+        "efforts",
+        "tauj",
+        "statetauj",
+        "taumeasured",
+        "actualtau",
+        "actualtorque",
+        "jointtorque",
+        "jointtorques",
+        "jointeffort",
+        "actualjointtorques",
+        "measuredtorque",
+        "observationeffort",
+        "observationtorque",
+        "presenttorque",
+    ]
+)
+CURRENT = tuple(
+    [
+        "actualcurrent",
+        "current",
+        "i",
+        "currents",
+        "jointcurrent",
+        "motorcurrent",
+        "presentcurrent",
+        "measuredcurrent",
+        "observationcurrent",
+    ]
+)
 TIME = ("t", "time", "timestamp", "stamp", "seconds", "headerstamp", "times", "timestamps", "datetime")
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9,
          "deg": "deg", "degrees": "deg", "rad": "rad", "nm": "N m", "a": "A", "ma": "mA"}  # fmt: skip

@@ -68,7 +68,7 @@ def check_log(config: Config, log: Log, *, moving: bool = True) -> Log:
     """
     checks.instance("config", config, Config)
     checks.instance("log", log, Log)
-    q, tau = (np.asarray(checks.filled(signal), float) for signal in log)
+    q, tau = (np.asarray(checks.filled(signal), float) for signal in (log.q, log.tau))
     for name, value in (("q", q), ("tau", tau)):
         if value.ndim != 2 or value.shape[1] != config.n or value.shape != q.shape:
             raise ValueError(

@@ -113,7 +113,7 @@ def _sqlite(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 def _rosbags(path: Path) -> Iterator[tuple[str, int, bytes]]:
     try:
-        from rosbags.rosbag2 import Reader, ReaderError
+        from rosbags.rosbag2 import Reader, ReaderError  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: reading this takes rosbags; pip install 'jaxftc[logs]'") from error
     try:
