@@ -9,7 +9,7 @@ import difflib
 import math
 import numbers
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import jax
@@ -47,7 +47,7 @@ def instance(name: str, value: object, kind: type) -> None:
         raise ValueError(f"{name} must be a {kind.__name__}, got a {type(value).__name__}; arguments in another order?")
 
 
-def filled(value: object) -> object:
+def filled(value: Any) -> Any:
     """The value; of a masked array, NaN where it is masked, which JAX and NumPy would otherwise read through the mask."""
     import numpy as np
 

@@ -70,7 +70,7 @@ class Measurement(NamedTuple):
     """
 
     q: Array
-    tau: Array | None = None
+    tau: Array = None  # pyright: ignore[reportAssignmentType]
 
 
 class SensorStatus(NamedTuple):

@@ -29,23 +29,9 @@ MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young object
 
 
 @dataclasses.dataclass
-class Options:
-    """Options of every command that simulates and writes."""
+class Output:
+    """Options of every command that writes results."""
 
-    engine: Literal["mjx", "chain"] = "mjx"
-    """Plant dynamics: MuJoCo MJX, or the unrolled chain (several times faster, same motion)."""
-    robot: str = "puma560"
-    """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""
-    tip: str | None = None
-    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
-    lock: tuple[str, ...] = ()
-    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
-    coulomb: bool = False
-    """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
-    gains: Path | None = None
-    """Gains file (TOML); the default gains if not given."""
-    seed: int = 0
-    """Seed of the encoder noise."""
     out: Path | None = None
     """Folder for the results; runs/<command>-<n> if not given."""
     json: bool = False
@@ -58,12 +44,38 @@ class Options:
     """The command line, as it was given."""
 
 
-def say(options: Options, text: str = "") -> None:
+@dataclasses.dataclass
+class ArmOptions(Output):
+    """Options of every command that takes an arm."""
+
+    robot: str = "puma560"
+    """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""
+    tip: str | None = None
+    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
+    lock: tuple[str, ...] = ()
+    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
+
+
+@dataclasses.dataclass
+class Options(ArmOptions):
+    """Options of every command that simulates."""
+
+    engine: Literal["mjx", "chain"] = "mjx"
+    """Plant dynamics: MuJoCo MJX, or the unrolled chain (several times faster, same motion)."""
+    coulomb: bool = False
+    """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
+    gains: Path | None = None
+    """Gains file (TOML); the default gains if not given."""
+    seed: int = 0
+    """Seed of the encoder noise."""
+
+
+def say(options: Output, text: str = "") -> None:
     """Text for people: stdout, unless that is JSON's."""
     print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
-def prepare(options: Options, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
+def prepare(options: Output, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
     """Settings that a command may make of its process: XLA's flags and log, the compilation cache, the garbage collector.
 
     ``many`` is for commands that run many scenarios side by side: ``configure_xla``. Programs for single arms take longer to
@@ -82,8 +94,9 @@ def prepare(options: Options, *, many: bool = False, devices: bool = False, engi
     if many:
         from jaxftc.compile.xla import configure_xla
 
+        engine = engine or (options.engine if isinstance(options, Options) else "chain")
         with contextlib.suppress(RuntimeError):  # a process that has used JAX already keeps the flags that it has
-            configure_xla(several_results=True if (engine or options.engine) == "chain" else None)
+            configure_xla(several_results=True if engine == "chain" else None)
     if options.cache:
         from jaxftc.compile import program_cache
 
@@ -181,7 +194,7 @@ def load_or_default(options: Options, config: Config) -> Gains:
 
 
 @contextlib.contextmanager
-def folder(options: Options, command: str, *, goes_on: bool = False) -> Iterator[Path]:
+def folder(options: Output, command: str, *, goes_on: bool = False) -> Iterator[Path]:
     """The folder for results, made, marked as the command's, and this process's alone; if none was named, a new one.
 
     A command that ``goes_on`` from what it finds there checks itself that it is of the same run.
@@ -203,7 +216,7 @@ def folder(options: Options, command: str, *, goes_on: bool = False) -> Iterator
         yield path
 
 
-def request(options: Options) -> dict[str, Any]:
+def request(options: Output) -> dict[str, Any]:
     """What a result depends on, option by option, as JSON has it: of files their names and a digest of their content."""
     found: dict[str, Any] = {}
     for name, value in given(options):

@@ -60,7 +60,7 @@ def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
 
 
 @dataclasses.dataclass
-class Identify(LogOptions):
+class Identify(LogOptions, common.ArmOptions):
     """Fit the physical model of an arm to logs of it: links, motor inertia, friction, torque offset, and gain for currents.
 
     Writes arm.toml, which --robot takes, result.json and report.html. Healthy logs, with every joint in motion.
@@ -68,41 +68,24 @@ class Identify(LogOptions):
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
     """Logs: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
-    robot: str = "puma560"
-    """The arm's file: MJCF, URDF, arm.toml or its folder."""
-    tip: str | None = None
-    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
-    lock: tuple[str, ...] = ()
-    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
     judge: bool = False
     """Fit nothing: only say how well the model explains the logs."""
-    out: Path | None = None
-    """Folder for the results; runs/identify-<n> if not given."""
-    json: bool = False
-    """Print one JSON object on stdout and nothing else there."""
-    cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
-    """Keep compiled programs between runs, in the user's cache folder."""
-
-    @property
-    def _as_options(self) -> Any:
-        """The options of every command that this one has: out, json, cache."""
-        return self
 
     def run(self) -> None:
         """Read, fit or judge, write."""
         if not self.logs:
             raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
-        common.prepare(self._as_options)
+        common.prepare(self)
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
-        folder = common.make_folder(self._as_options, "identify")
-        record = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
-        record = {"sample_time_s": found[0].dt} | record | {"logs": [str(path) for path in self.logs], "robot": self.robot}
-        text = common.write_json(folder / "result.json", record)
-        common.say(
-            self._as_options,
-            f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}",
-        )
+        with common.folder(self, "identify") as folder:
+            result = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
+            result = (
+                {"sample_time_s": found[0].dt} | result | {"logs": [str(path) for path in self.logs], "robot": self.robot}
+            )
+            text = common.write_json(folder / "result.json", result)
+        written = ", ".join(sorted(p.name for p in folder.iterdir() if p.name[0] != "."))
+        common.say(self, f"\nWritten to {folder}: {written}")
         if self.json:
             print(text)
 
@@ -110,7 +93,7 @@ class Identify(LogOptions):
         from jaxftc.identify import judge
 
         held = judge(arm.robot, logs, added=arm.recording.torque_offset or 0.0)
-        common.say(self._as_options, share_lines(held, arm.robot.joint_names, judged=True))
+        common.say(self, share_lines(held, arm.robot.joint_names, judged=True))
         return {"held_out": as_json(held), "parameters": []}
 
     def _fit(self, arm: Arm, logs: list[Log], folder: Path) -> dict[str, Any]:
@@ -120,10 +103,10 @@ class Identify(LogOptions):
         from jaxftc.robot.arm_file import save_arm
 
         names = arm.robot.joint_names
-        found = dynamics(arm.robot, logs, tell=lambda left: common.say(self._as_options, shown_lines(left, names)))
+        found = dynamics(arm.robot, logs, tell=lambda left: common.say(self, shown_lines(left, names)))
         for note in found.notes:
-            common.say(self._as_options, note)
-        common.say(self._as_options, share_lines(found.held_out, arm.robot.joint_names, judged=False))
+            common.say(self, note)
+        common.say(self, share_lines(found.held_out, arm.robot.joint_names, judged=False))
         save_arm(folder, self._arm(arm, found, logs))
         write_text(folder / "report.html", identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}"))
         return {

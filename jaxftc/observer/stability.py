@@ -37,7 +37,7 @@ def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
     """
     leaves = [leaf.astype(float) for leaf in _of_joints(config, gains, np)]
     cases = (0.0, 1.0) if config.observer == "ts" else (0.0,)
-    matrices = [[_matrix(np, config, *joint, on) for joint in zip(*leaves, strict=True)] for on in cases]
+    matrices = [[_matrix(np, config, *joint, on) for joint in zip(*leaves, strict=True)] for on in cases]  # pyright: ignore[reportCallIssue]
     return np.abs(np.linalg.eigvals(np.array(matrices))).max(-1).max(0)
 
 
