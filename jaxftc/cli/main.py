@@ -24,6 +24,7 @@ COMMANDS = {
     "simulate": "jaxftc.cli.simulate:Simulate",
     "campaign": "jaxftc.cli.campaign:Campaign",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
+    "export": "jaxftc.cli.export:Export",
     "view": "jaxftc.cli.view:View",
 }
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."

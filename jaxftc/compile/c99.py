@@ -11,6 +11,7 @@ import numpy as np
 from jaxftc.compile.operations import HELPERS, TYPES, row
 from jaxftc.compile.scalars import Program
 
+
 def body(program: Program, inputs: Sequence[Sequence[str]], results: Sequence[Sequence[str]]) -> list[str]:
     """Statements that read ``inputs`` and then write ``results``: an expression in C for every number of every leaf.
 
@@ -40,8 +41,11 @@ def body(program: Program, inputs: Sequence[Sequence[str]], results: Sequence[Se
         expression = _expression(operation.name, operation.of, [name(arg) for arg in operation.args])
         names[place] = f"t{place}"
         lines.append(f"const {TYPES[operation.dtype.name]} t{place} = {expression};")
-    written = [(place, where) for array, places in zip(results, program.results, strict=True) for place, where in
-               zip(map(int, places.ravel()), array, strict=True)]
+    written = [
+        (place, where)
+        for array, places in zip(results, program.results, strict=True)
+        for place, where in zip(map(int, places.ravel()), array, strict=True)
+    ]
     wanted = [name(place) for place, _ in written]
     return [*lines, "", "/* Results */", *(f"{where} = {value};" for (_, where), value in zip(written, wanted, strict=True))]
 

@@ -260,5 +260,3 @@ def _without_unused(operations: list[Operation], results: list[Places]) -> Progr
         kept.append(operation._replace(args=own))
     renamed = [np.array([order[int(p)] for p in np.ravel(array)], int).reshape(np.shape(array)) for array in results]
     return Program(kept, renamed)
-
-

@@ -57,7 +57,9 @@ def header(tick: Tick) -> str:
         f"#define FTC_TORQUE_LIMITS {{{', '.join(map(_limit, facts['torque_limit_nm']))}}} /* N m, 0: none */",
         "",
     ]
-    lines += _struct("ftc_reference", "What motion is wanted. A joint with a value that is not finite holds its angle.", leaves)
+    lines += _struct(
+        "ftc_reference", "What motion is wanted. A joint with a value that is not finite holds its angle.", leaves
+    )
     lines += _struct("ftc_measurement", "What the robot says. What is not finite did not come.", leaves)
     lines += ["typedef struct {", "    ftc_reference reference;", "    ftc_measurement measurement;", "} ftc_in;", ""]
     lines += _struct("ftc_out", "What the tick says.", leaves)
@@ -65,7 +67,11 @@ def header(tick: Tick) -> str:
     if tick.at_run_time:
         lines += _struct("ftc_gains", "What tuning may change.", leaves)
         lines += ["/* The gains of the file above. */", "extern const ftc_gains ftc_default_gains;", ""]
-    lines += ["/* State at rest in q [rad], which must be finite, holding the arm against gravity. */", f"{_init(tick)};", ""]
+    lines += [
+        "/* State at rest in q [rad], which must be finite, holding the arm against gravity. */",
+        f"{_init(tick)};",
+        "",
+    ]
     lines += ["/* One tick: changes the state, fills out. */", f"{_step(tick)};", ""]
     return "\n".join([*lines, "#ifdef __cplusplus", "}", "#endif", "#endif", ""])
 
@@ -87,7 +93,7 @@ def code(tick: Tick) -> str:
     for signature, statements in ((_init(tick), at_rest), (_step(tick), of_tick)):
         unused = [f"(void){name};" for name in ("gains", "q", "in") if f"*{name}" in signature or f"{name}[" in signature]
         unused = [line for line in unused if not any(line[6:-1] in statement for statement in statements)]
-        lines += [f"{signature} {{", *(f"    {line}" for line in (*unused, *statements)), "}", ""]
+        lines += [f"{signature} {{", *(f"    {line}".rstrip() for line in (*unused, *statements)), "}", ""]
     return "\n".join(lines)
 
 
@@ -135,5 +141,3 @@ def _limit(limit: float | None) -> str:
 def _clean(name: str) -> str:
     """A name that ends neither a comment nor a string."""
     return json.dumps(name)[1:-1].replace("*/", "* /")
-
-

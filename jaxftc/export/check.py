@@ -1,9 +1,9 @@
-"""The artifact against ``jaxftc.step``: ticks of closed-loop runs with every kind of fault, each from the same state."""
+"""Artifacts against ``jaxftc.step``, tick by tick, in closed-loop runs with every kind of fault."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.compile.xla import jit
-from jaxftc.export.artifact import Native, records
+from jaxftc.export.artifact import Artifact, Leaves
 from jaxftc.export.tick import DTYPES, Tick, precision
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Sensor
@@ -38,68 +38,87 @@ CHANNELS = {"actuator": ("fault_tau", Actuator), "sensor": ("fault_q", Sensor)}
 
 
 class Compared(NamedTuple):
-    """How far the artifact is from ``jaxftc.step``."""
+    """How far an artifact is from ``jaxftc.step``."""
 
-    ticks: dict[str, int]  # compared, by kind of fault
+    ticks: int  # of each kind of fault
     error: dict[str, float]  # by kind: the largest difference of a signal over its largest size
     worst: str  # the signal with the largest of them
     verdicts: int  # that differ
     alarms: int  # joints with a verdict that is not normal, so that equal verdicts say something
+    tolerance: float
 
-    def holds(self, real: str) -> bool:
-        """Whether it is within the tolerance, verdicts equal."""
-        return self.verdicts == 0 and max(self.error.values()) <= TOLERANCE[real]
+    @property
+    def met(self) -> bool:
+        """Whether all is within the tolerance, and every verdict equal."""
+        return self.verdicts == 0 and max(self.error.values()) <= self.tolerance
 
 
 def compare(
-    tick: Tick, artifact: Native, *, ticks: int = TICKS, run: int = RUN, seed: int = 0, done: Callable[[int], object] = int
-) -> Compared:
-    """Run every kind of fault for that many ticks and compare what the tick says, and its next state, tick by tick.
+    tick: Tick,
+    artifacts: Mapping[str, Artifact],
+    *,
+    ticks: int = TICKS,
+    run: int = RUN,
+    seed: int = 0,
+    done: Callable[[int], object] = int,
+) -> dict[str, Compared]:
+    """Ticks of closed-loop runs with every kind of fault: each artifact's from the state that ``jaxftc.step`` had.
+
+    Outputs and next states are compared, and what ``init`` makes of the place where each run begins.
 
     Args:
         tick: What was exported.
-        artifact: What it became.
-        ticks: Of each kind of fault.
+        artifacts: What it became, by name.
+        ticks: Of each kind of fault; as many whole runs as it takes.
         run: Ticks of a run.
         seed: Of motions, faults and noise.
         done: Is told after each tick how many were compared.
     """
     runs = -(-ticks // run)
     names = [kind for kind in KINDS for _ in range(runs)]
-    gap: dict[str, np.ndarray] = {}
-    size: dict[str, np.ndarray] = {}
-    different = alarms = 0
+    leaves = tick.leaves()
+    labels = [f"{signal}.{leaf.name}" for signal in ("state", "out") for leaf in leaves[signal]]
+    verdict = labels.index("out.verdict")
+    size, gaps = np.zeros(len(labels)), {name: np.zeros((len(labels), len(names))) for name in artifacts}
+    different, alarms = dict.fromkeys(artifacts, 0), 0
     with precision(tick.real):
-        for before, signals, after, out in _reference(tick, names, run, seed):
-            states = records(artifact.state, jax.tree.leaves(before))
-            said = artifact.step(states, records(artifact.signals, signals))
-            wanted = records(artifact.out, out), records(artifact.state, jax.tree.leaves(after))
-            different += int((said["verdict"] != wanted[0]["verdict"]).sum())
-            alarms += int((wanted[0]["verdict"] != 0).sum())
-            for have, want in ((said, wanted[0]), (states, wanted[1])):
-                for name in want.dtype.names or ():
-                    apart, large = _apart(have[name], want[name])
-                    gap[name] = np.maximum(gap.get(name, 0.0), apart)
-                    size[name] = np.maximum(size.get(name, 0.0), large)
+        for k, (before, signals, after, out) in enumerate(_reference(tick, names, run, seed)):
+            if k == 0:
+                for name, artifact in artifacts.items():
+                    made = artifact.init(np.asarray(signals[0]))
+                    gaps[name][: len(made)] = [_apart(a, b) for a, b in zip(made, before, strict=True)]
+            wanted = [*after, *out]
+            size = np.maximum(size, [_size(leaf) for leaf in wanted])
+            alarms += int((wanted[verdict] != 0).sum())
+            for name, artifact in artifacts.items():
+                made = [leaf for part in artifact.step(before, signals) for leaf in part]
+                different[name] += int((made[verdict] != wanted[verdict]).sum())
+                gaps[name] = np.maximum(gaps[name], [_apart(a, b) for a, b in zip(made, wanted, strict=True)])
             done(len(names))
-    share = {name: gap[name] / max(size[name].max(), np.finfo(artifact.real).tiny) for name in gap}
-    worst = np.max(list(share.values()), axis=0)  # [B]
-    error = {kind: float(worst[np.array(names) == kind].max()) for kind in KINDS}
-    where = max(share, key=lambda name: share[name].max())
-    return Compared(dict.fromkeys(KINDS, runs * run), error, where, different, alarms)
+    found = {}
+    for name, gap in gaps.items():
+        share = gap / np.where(size > 0, size, 1.0)[:, None]
+        error = {kind: float(share[:, np.array(names) == kind].max()) for kind in KINDS}
+        worst = labels[int(share.max(1).argmax())]
+        found[name] = Compared(runs * run, error, worst, different[name], alarms, TOLERANCE[tick.real])
+    return found
 
 
-def _apart(have: np.ndarray, want: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest difference and largest size [B] of a signal; what is equal counts as such, NaN and infinities too."""
-    have, want = (x.astype(float).reshape(len(x), -1) for x in (have, want))
+def _size(leaf: np.ndarray) -> float:
+    """The largest number of a signal, those that are not finite left out."""
+    return float(np.abs(np.where(np.isfinite(leaf), leaf, 0)).max())
+
+
+def _apart(have: np.ndarray, want: np.ndarray) -> np.ndarray:
+    """Largest difference [B] in a signal [B, ...]; numbers that are equal count as such, NaN and infinities too."""
+    have, want = (np.asarray(x, float).reshape(len(x), -1) for x in (have, want))
     same = (have == want) | (np.isnan(have) & np.isnan(want))
     with np.errstate(invalid="ignore"):
-        gap = np.where(same, 0.0, np.nan_to_num(np.abs(have - want), nan=np.inf))
-    return gap.max(1), np.where(np.isfinite(want), np.abs(want), 0.0).max(1)
+        return np.where(same, 0.0, np.nan_to_num(np.abs(have - want), nan=np.inf)).max(1)
 
 
-def _reference(tick: Tick, names: list[str], run: int, seed: int) -> Iterator[tuple[Any, list[Any], Any, Any]]:
-    """(state, signals, next state, output) of ``jaxftc.step`` for every tick, arms on the last axis."""
+def _reference(tick: Tick, names: list[str], run: int, seed: int) -> Iterator[tuple[Leaves, Leaves, Leaves, Leaves]]:
+    """State, signals, next state and output of ``jaxftc.step`` for every tick, arms first; it begins at rest."""
     config = dataclasses.replace(tick.config, engine="chain", t_final=run * tick.config.dt, duration=None)
     scenario = trail(jax.tree.map(_cast(tick), scenarios(config, names, seed)))
     advance = jit(closed_loop.advance, static_argnums=0)
@@ -109,8 +128,13 @@ def _reference(tick: Tick, names: list[str], run: int, seed: int) -> Iterator[tu
     for k in range(run):
         t = jnp.asarray(k * config.dt, DTYPES[tick.real])
         after, trace = advance(config, tick.gains, scenario, loop, t, noise[k])
-        yield loop.controller, [*desired(t), trace.y, loop.tau], after.controller, trace.out
+        told = [*desired(t), trace.y, loop.tau]
+        yield _first(loop.controller), _first(told), _first(after.controller), _first(trace.out)
         loop = after
+
+
+def _first(tree: Any) -> Leaves:
+    return [np.moveaxis(np.asarray(leaf), -1, 0) for leaf in jax.tree.leaves(tree)]
 
 
 def _cast(tick: Tick) -> Callable[[Any], Any]:

@@ -93,7 +93,7 @@ def tick(
 ) -> Tick:
     """What is to be exported; ``gains_hash`` is that of the gains' file."""
     with precision(real):
-        own = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), DTYPES[real]), gains)
+        own = jax.tree.map(lambda leaf: jnp.asarray(decimals(leaf), DTYPES[real]), gains)
         state = registry.init(config, own, jnp.asarray(config.robot.q_zero, DTYPES[real]))
     limits = [float(x) if np.isfinite(x) else None for x in config.robot.torque_limit]
     metadata = header(config) | {
@@ -110,6 +110,11 @@ def tick(
     return Tick(config, real, own, at_run_time, state, metadata)
 
 
+def decimals(leaf: Any) -> np.ndarray:
+    """A gain in double precision: of one in single precision the shortest decimals, as in its file."""
+    return np.asarray(leaf).astype(str).astype(float)
+
+
 def _leaves(tree: Any, about: dict[str, str]) -> list[Leaf]:
     found = []
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
@@ -121,4 +126,6 @@ def _leaves(tree: Any, about: dict[str, str]) -> list[Leaf]:
 def _attributes(signal: Callable[..., Any]) -> dict[str, str]:
     """What the docstring of a signal says of its fields."""
     text = (inspect.getdoc(signal) or "").partition("Attributes:")[2]
-    return {name: " ".join(about.split()).rstrip(".") for name, about in re.findall(r"^ {4}(\w+): ((?:.|\n {5,})+)", text, re.M)}
+    return {
+        name: " ".join(about.split()).rstrip(".") for name, about in re.findall(r"^ {4}(\w+): ((?:.|\n {5,})+)", text, re.M)
+    }

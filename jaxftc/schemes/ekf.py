@@ -24,6 +24,7 @@ from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
+from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
@@ -92,6 +93,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     return State(belief, unread, own, command), output
 
 
+@box("Extended Kalman filter: prediction")
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:
     """Belief one tick later under a torque [n, ...] N m: F P F^T + Q."""
     robot, dt = config.robot, config.dt
@@ -128,6 +130,7 @@ def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) ->
     return Belief(mean, push(push(belief.cov).swapaxes(0, 1)) + grown)
 
 
+@box("Extended Kalman filter: correction")
 def correct(gains: BaselineGains, belief: Belief, reading: Array) -> Belief:
     """Belief after a reading [n, ...] rad, in Joseph's form; a joint without one is not corrected by its own.
 

@@ -16,6 +16,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
+from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
@@ -73,6 +74,7 @@ def holding_torque(config: Config, q: Array) -> Array:
     return smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, q))
 
 
+@box("Interface: what no arm can do is left out of the signals")
 def _signals(config: Config, state: Any, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
     """Signals as arrays of the right shape, what no arm can do left out of them: what every scheme sees.
 
