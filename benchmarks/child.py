@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from benchmarks.machine import own_peak
 from benchmarks.peers import mjx_default
 from benchmarks.worker import Task
 from jaxftc.cli import common
+from jaxftc.compile import native
 from jaxftc.config import Config
 from tuning.problem import LOST
 
@@ -61,13 +63,24 @@ def _workload(task: Task, config: Config, gains: Any) -> Callable[[], Any]:
     return summary
 
 
-def _ticks(config: Config, gains: Any, calls: int) -> dict[str, float]:
-    """Percentiles of single ticks, microseconds, and how far their torque is from ``simulate``'s, over its limit."""
-    done = workloads.tick(config, gains, calls)
+def _ticks(config: Config, gains: Any, calls: int) -> dict[str, dict[str, float]]:
+    """Of single ticks by each way to call them: percentiles, microseconds, and how far torques are from ``simulate``'s.
+
+    The last is over the joint's limit. Without a C compiler, the ways that need one are left out.
+    """
+    run = workloads.recorded(config, gains)
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
-    shares = zip(("tick_p50_us", "tick_p99_us", "tick_p999_us"), (50, 99, 99.9), strict=True)
-    percentiles = {key: float(np.percentile(done.microseconds, share)) for key, share in shares}
-    return percentiles | {"error": float(np.abs((done.torque - done.expected) / limit).max())}
+    done = {"tick": workloads.tick(config, gains, run, calls, "xla")}
+    if native.compiler() is not None:
+        done["tick_backend_c"] = workloads.tick(config, gains, run, calls, "c")
+        with tempfile.TemporaryDirectory() as folder:
+            done["tick_c"] = workloads.exported_tick(config, gains, run, calls, Path(folder))
+    found = {}
+    for name, ticks in done.items():
+        shares = zip(("p50", "p99", "p999"), (50, 99, 99.9), strict=True)
+        found[name] = {f"{name}_{key}_us": float(np.percentile(ticks.microseconds, share)) for key, share in shares}
+        found[name]["error"] = float(np.abs((ticks.torque - run.torque) / limit).max())
+    return found
 
 
 def main(task: Task) -> None:

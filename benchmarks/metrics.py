@@ -63,6 +63,12 @@ METRICS = (
         ("tick_p50_us", "us", LOWER, "one tick by jaxftc.Tick called from Python, NumPy in and out, median"),
         ("tick_p99_us", "us", LOWER, "99 % of ticks are faster"),
         ("tick_p999_us", "us", LOWER, "99.9 % of ticks are faster"),
+        ("tick_backend_c_p50_us", "us", LOWER, 'the same by jaxftc.Tick(..., backend="c"), median'),
+        ("tick_backend_c_p99_us", "us", LOWER, "99 % of those are faster"),
+        ("tick_backend_c_p999_us", "us", LOWER, "99.9 % of those are faster"),
+        ("tick_c_p50_us", "us", LOWER, "one tick of the C code of jaxftc export, float, called from C, median"),
+        ("tick_c_p99_us", "us", LOWER, "99 % of those are faster"),
+        ("tick_c_p999_us", "us", LOWER, "99.9 % of those are faster"),
     ),
     *_of(
         "campaign",

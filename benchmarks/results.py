@@ -40,6 +40,7 @@ class Results:
     metrics: dict[str, float] = dataclasses.field(default_factory=dict)
     tables: dict[str, Table] = dataclasses.field(default_factory=dict)
     checks: list[Check] = dataclasses.field(default_factory=list)
+    absent: set[str] = dataclasses.field(default_factory=set)  # figures that this machine cannot give
 
     def check(self, what: str, error: float, allowed: float) -> None:
         """Note a check.

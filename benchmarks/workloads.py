@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxftc import export
 from jaxftc.campaigns import run
+from jaxftc.compile import native
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
@@ -137,33 +141,58 @@ def largest_program() -> Any:
     return max(jax.local_devices()[0].client.live_executables(), key=set_aside)
 
 
+class Recorded(NamedTuple):
+    """A run of ``simulate`` on the paper's motion: what its controller saw and said, tick by tick."""
+
+    q_start: Array  # [n] rad
+    signals: Array  # [T, 5, n] reference, reading and command of the tick before, rad, rad/s, rad/s^2, rad, N m
+    torque: Array  # [T, n] N m, commands
+
+
+def recorded(config: Config, gains: Gains) -> Recorded:
+    """The run that single ticks are timed on."""
+    scenario = paper_scenario("both", config)
+    trace = closed_loop.simulate(config, gains, scenario, jax.random.key(NOISE))
+    y, torque = (np.asarray(x) for x in (trace.y, trace.out.tau))
+    wanted = reference.cubic(scenario.q_start[:, None], scenario.q_goal[:, None], config.t_final, trace.t)
+    told = np.concatenate([np.asarray(registry.holding_torque(config, scenario.q_start))[None], torque[:-1]])
+    signals = np.stack([*(np.asarray(x).T for x in wanted), y, told], axis=1)
+    return Recorded(np.asarray(scenario.q_start), signals, torque)
+
+
 class Ticks(NamedTuple):
-    """Single ticks called from Python."""
+    """Single ticks."""
 
     microseconds: Array  # [calls]
     torque: Array  # [T, n] N m, of the last lap
-    expected: Array  # [T, n] N m, from ``simulate``
 
 
-def tick(config: Config, gains: Gains, calls: int) -> Ticks:
-    """``jaxftc.Tick`` on one arm, called once a tick: NumPy in, NumPy out, the paper's motion again and again."""
-    scenario = paper_scenario("both", config)
-    trace = closed_loop.simulate(config, gains, scenario, jax.random.key(NOISE))
-    y, expected = (np.asarray(x) for x in (trace.y, trace.out.tau))
-    wanted = reference.cubic(scenario.q_start[:, None], scenario.q_goal[:, None], config.t_final, trace.t)
-    motion: Any = list(zip(*(np.asarray(x).T for x in wanted), strict=True))  # a (q, qd, qdd) a tick
-    hold = np.asarray(registry.holding_torque(config, scenario.q_start))
-    compiled = Tick(config, gains)
-    blank = compiled.init(np.asarray(scenario.q_start))
-    state, tau, torque, seconds = blank, hold, np.zeros_like(expected), []
+def tick(config: Config, gains: Gains, run: Recorded, calls: int, backend: Literal["xla", "c"]) -> Ticks:
+    """``jaxftc.Tick`` called from Python once a tick of a recorded run, again and again: NumPy in, NumPy out.
+
+    It gets the recorded commands, not its own: a recording does not answer to those, and rounding would grow in them.
+    """
+    compiled = Tick(config, gains, backend=backend)
+    blank, torque, seconds = compiled.init(run.q_start), np.zeros_like(run.torque), []
+    state = blank
     for call in range(config.ticks + calls):  # one lap to warm up
         k = call % config.ticks
         if k == 0:
-            state, tau = blank, hold
-        reading: Any = (y[k], tau)
+            state = blank
+        signals: Any = list(run.signals[k])
         began = time.perf_counter()
-        state, out = compiled.step(state, Reference(*motion[k]), Measurement(*reading))
-        tau = out.tau
+        state, out = compiled.step(state, Reference(*signals[:3]), Measurement(*signals[3:]))
         seconds.append(time.perf_counter() - began)
-        torque[k] = tau
-    return Ticks(1e6 * np.array(seconds[config.ticks :]), torque, expected)
+        torque[k] = out.tau
+    return Ticks(1e6 * np.array(seconds[config.ticks :]), torque)
+
+
+def exported_tick(config: Config, gains: Gains, run: Recorded, calls: int, folder: Path) -> Ticks:
+    """The C code of ``jaxftc export`` on the same run, called and timed from C."""
+    export.write(config, gains, folder, real="float")
+    names = [folder / name for name in ("signals", "seconds", "torque")]
+    run.signals.astype(np.float32).tofile(names[0])
+    native.build([Path(__file__).with_name("tick.c"), folder / "ftc_step.c"], folder / "tick", f"-I{folder}")
+    subprocess.run([folder / "tick", *names, str(config.ticks), str(calls)], check=True)
+    torque = np.fromfile(names[2], np.float32).reshape(run.torque.shape)
+    return Ticks(1e6 * np.fromfile(names[1]), torque)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxftc.robot.arm_file import Arm
     from jaxftc.robot.model import Robot
 
-NO_RESULT = ("out", "json", "cache", "force", "words")  # options that a result does not depend on
+NO_RESULT = ("out", "json", "cache", "force", "words", "check", "ticks")  # options that a result does not depend on
 NAMES = ("robot", "preset")  # options that are a name or a file
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
 

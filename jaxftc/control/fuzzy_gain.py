@@ -8,11 +8,13 @@ import numpy as np
 from jaxftc.config import Config
 from jaxftc.fuzzy import rule_table
 from jaxftc.gains import ControlGains, Gains, align
+from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 GAINS = tuple(f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor"))
 
 
+@box("Block 9: fuzzy switching gain, Eqs. (31) to (33)")
 def alpha_online(config: Config, gains: ControlGains, q: Array, s: Array) -> Array:
     """alpha_online [n, ...] in [floor, 3] from q [n, ...] rad and s [n, ...] rad/s, Eq. (33)."""
     table = rule_table.TABLES[config.rules]

@@ -20,6 +20,7 @@ from jaxftc.control.surface import Surface
 from jaxftc.gains import ControlGains, Gains
 from jaxftc.numerics import smooth
 from jaxftc.numerics.barrier import store
+from jaxftc.numerics.box import box
 from jaxftc.stages import Stages, either
 from jaxftc.types import Array, Reference
 
@@ -57,6 +58,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(q, jnp.zeros_like(q))
 
 
+@box("Block 8: sliding-mode control, Eqs. (19), (24), (30)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Command]:
     """Speed, surface and law of this tick."""
     before = state.q + inputs.model_reset

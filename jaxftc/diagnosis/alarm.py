@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
+from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 RELEASE = 0.7  # share of the threshold below which an alarm ends
@@ -44,6 +45,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(*[jnp.zeros_like(q)] * 4)
 
 
+@box("Block 7: alarms, Eq. (17)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Alarms]:
     """Alarms from the statistics. Comparisons: no gradient passes."""
     level, state, inputs = jax.lax.stop_gradient((gains.diagnosis, state, inputs))

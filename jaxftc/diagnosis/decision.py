@@ -14,6 +14,7 @@ from jaxftc.config import Config
 from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
+from jaxftc.numerics.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.types import Array, SensorStatus
 
@@ -47,6 +48,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(alarm.init(config, gains, q), sensor_check.init(config, gains, q))
 
 
+@box("Block 7: decision, Eqs. (17), (18)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Decision]:
     """Verdict and sensor status of this tick."""
     alarms_next, alarms = alarm.step(config, gains, state.alarm, inputs.statistics)

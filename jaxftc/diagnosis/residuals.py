@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from jaxftc.numerics.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.types import Array
@@ -16,6 +17,7 @@ class Residuals(NamedTuple):
     q: Array  # [n, ...] rad
 
 
+@box("Block 5: residuals, Eq. (13)")
 def generate(mass: MassMatrix, seen: Estimate) -> Residuals:
     """Torque channel M(q_hat) psi; encoder channel y - y_hat."""
     return Residuals(tau=mass.matvec(seen.psi), q=seen.y - seen.y_hat)

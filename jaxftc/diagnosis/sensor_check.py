@@ -27,6 +27,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.diagnosis.alarm import Alarms
 from jaxftc.gains import Gains
+from jaxftc.numerics.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.types import Array, SensorStatus
 
@@ -98,6 +99,7 @@ def mask_suspect(sensors: SensorStatus, psi: Array) -> Array:
     return psi * (1 - sensors.suspect)
 
 
+@box("Block 7: sensor check")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, SensorStatus]:
     """All detectors. Comparisons: no gradient passes."""
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 
@@ -46,6 +47,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(jnp.zeros_like(q), jnp.zeros_like(q))
 
 
+@box("Block 6: thresholds, Eq. (14)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Statistics]:
     """S = w r + (1 - w) z, Eq. (14) in one unit, and the leaky means."""
     del config

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.numerics.barrier import store
+from jaxftc.numerics.box import box
 from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno
 from jaxftc.observer.stage import Inputs
 from jaxftc.observer.takagi_sugeno import Jump
@@ -93,12 +94,14 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     )
 
 
+@box("Block 1: the input enters the ARX-Laguerre model, Eq. (5)")
 def apply_input(gains: Gains, state: State, u: Array) -> State:
     """Let the input u [n, ...] of the last tick into the input's bank: v + psi, or tau + M psi for the torque form."""
     x_b = laguerre.advance(gains.arx.xi_b, state.arx.x_b, u)
     return state._replace(arx=state.arx._replace(x_b=x_b))
 
 
+@box("Blocks 1 to 4: innovation and fault estimates, Eqs. (6), (15), (16)")
 def correct(config: Config, gains: Gains, state: State, reading: Reading, on: Stages) -> tuple[State, Estimate]:
     """Innovation and fault estimates of this tick.
 
@@ -142,6 +145,7 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     return next_state, Estimate(y, y_hat, e, jump, model_reset, b, q_hat, fault_q, psi, at.missing, at.absent)
 
 
+@box("Blocks 1 to 4: the correction enters the model, Eqs. (6), (9)")
 def adapt(config: Config, gains: Gains, state: State, seen: Estimate, residual_tau: Array, on: Stages) -> State:
     """Let the fuzzy stage learn from the torque residual [n, ...] N m, and the correction into the angle's bank.
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.numerics.box import box
 from jaxftc.observer.stage import Inputs
 from jaxftc.types import Array
 
@@ -24,6 +25,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(jnp.zeros_like(q))
 
 
+@box("Block 2: PI, Eq. (6)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """psi_PI of this tick [n, ...] rad/s^2, and its state for the next.
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
+from jaxftc.numerics.box import box
 from jaxftc.observer.stage import Inputs
 from jaxftc.stages import either
 from jaxftc.types import Array
@@ -28,6 +29,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(jnp.zeros_like(q))
 
 
+@box("Block 3: super-twisting, Eq. (7)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """psi_SM of this tick [n, ...] rad/s^2, in the form that runs; 0 if none does."""
     runs = either(inputs.on.printed, printed(config, gains, state, inputs), corrected(config, gains, state, inputs))

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxftc.config import Config
 from jaxftc.fuzzy import takagi_sugeno
 from jaxftc.gains import Gains, ObserverGains
+from jaxftc.numerics.box import box
 from jaxftc.types import Array, SensorStatus
 
 NAMES = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths", "jump_centres", "jump_widths")
@@ -50,6 +51,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     return State(jnp.zeros_like(q), jnp.zeros_like(q))
 
 
+@box("Block 4: whose jump it is, Eqs. (8), (9)")
 def classify_jump(gains: ObserverGains, unexplained: Array, change: Array, b: Array, sensors: SensorStatus) -> Jump:
     """Rules "sensor" and "both" on each reading.
 
@@ -67,6 +69,7 @@ def classify_jump(gains: ObserverGains, unexplained: Array, change: Array, b: Ar
     return Jump(h_s, jnp.sign(unexplained), moved, jnp.where(follow, size, 0.0))
 
 
+@box("Block 4: Takagi-Sugeno, Eqs. (8) to (10)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """psi_F [n, ...] rad/s^2 of this tick; b has moved already, with its jump.
 

@@ -19,6 +19,7 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.numerics.barrier import unstack
 from jaxftc.numerics.batch import trailing
+from jaxftc.numerics.box import box
 from jaxftc.robot import lanes, mjx, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
@@ -141,6 +142,7 @@ def inverse_dynamics(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
     return nominal_torque(robot, rigid_body.pose(robot, q), qd, qdd) + coulomb(robot, qd)
 
 
+@box("Nominal arm: Newton-Euler pass")
 def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> Array:
     """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
     inertias = rigid_body.nominal_inertias(robot)
@@ -149,6 +151,7 @@ def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> 
     return lanes.stack(links, motor) + motor
 
 
+@box("Nominal arm: inertia M(q)")
 def nominal_mass(robot: Robot, at: rigid_body.Pose) -> MassMatrix:
     """M(q) of the nominal arm, motor inertia included."""
     links = rigid_body.mass_matrix(robot, rigid_body.nominal_inertias(robot), at)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxftc.numerics.barrier import unstack as lanes
+from jaxftc.numerics.box import box
 from jaxftc.numerics.trigonometry import cos_sin
 from jaxftc.robot.lanes import Lane, add, dot, minus, mul, trailing_constant
 from jaxftc.robot.mass_matrix import MassMatrix
@@ -101,6 +102,7 @@ class Pose(NamedTuple):
     sin: Any
 
 
+@box("Nominal arm: cosines and sines")
 def pose(robot: Robot, q: Array) -> Pose:
     """Trigonometry of q [n, ...] rad."""
     turned = q - trailing_constant(robot.q_zero, q) if np.any(robot.q_zero) else q

@@ -16,6 +16,7 @@ from jaxftc.control.last_command import LastCommand
 from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
 from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
+from jaxftc.numerics.box import box
 from jaxftc.observer import cascade, super_twisting, takagi_sugeno
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot import dynamics, lanes, rigid_body
@@ -111,6 +112,7 @@ def step(
     return state, _report(config, gains, seen, residual, statistic, said, law, command)
 
 
+@box("What the last command did, Eqs. (2), (3)")
 def _applied(config: Config, state: State, tau: Array) -> Applied:
     """Input of the ARX model, and accelerations of the last tick without and with the estimated fault.
 
@@ -130,6 +132,7 @@ def _to_control(config: Config, applied: Applied, seen: Estimate, reference: Ref
     return sliding_mode.Inputs(q, acceleration, seen.model_reset, psi, reference, on)
 
 
+@box("The command, Algorithm 1, lines 10 to 12")
 def _command(
     config: Config,
     at: rigid_body.Pose,
@@ -147,6 +150,7 @@ def _command(
     return LastCommand(tau, law.qdd, mass.packed(tau))
 
 
+@box("Block 6: what is watched")
 def _watched(
     gains: Gains,
     sensors: SensorStatus,
@@ -164,6 +168,7 @@ def _watched(
     return real, statistics.Inputs(real + ahead, either(on.fuzzy, seen.b, residual.q))
 
 
+@box("The command within the torque limits")
 def _report(
     config: Config,
     gains: Gains,

@@ -18,6 +18,7 @@ from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
+from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.types import Array, Measurement, Output, Reference
 
@@ -80,6 +81,7 @@ def rest(q: Array) -> Motion:
     return Motion(q, zero, zero, zero)
 
 
+@box("Speed of the motion")
 def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Array) -> Motion:
     """Angle and speed from a reading [n, ...] rad and the acceleration [n, ...] rad/s^2 of the last tick.
 
@@ -98,6 +100,7 @@ def follow(config: Config, gains: Gains, before: Motion, qdd: Array, reading: Ar
     return Motion(q, qd, half, jnp.where(missing, before.unread + 1, 0.0))
 
 
+@box("Computed torque")
 def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference, fault: Array) -> LastCommand:
     """Command at (q, qd) [n, ...] rad, rad/s that follows the reference and compensates a torque ``fault`` [n, ...] N m."""
     robot, at = config.robot, rigid_body.pose(config.robot, q)

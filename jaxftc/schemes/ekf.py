@@ -27,6 +27,7 @@ from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.sensor_check import JUMP_MEMORY, MANY_JUMPS
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
+from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
@@ -112,6 +113,7 @@ def at_rest(gains: BaselineGains, q: Array) -> Belief:
     return Belief(jnp.concatenate([q, zero, zero, zero]), cov)
 
 
+@box("Extended Kalman filter: prediction")
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:
     """Belief one tick later under a torque [n, ...] N m: F P F^T + Q."""
     robot, dt = config.robot, config.dt
@@ -148,6 +150,7 @@ def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) ->
     return Belief(mean, push(push(belief.cov).swapaxes(0, 1)) + grown)
 
 
+@box("Extended Kalman filter: correction")
 def correct(gains: BaselineGains, belief: Belief, reading: Array) -> Belief:
     """Belief after a reading [n, ...] rad, in Joseph's form; a joint without one is not corrected by its own.
 

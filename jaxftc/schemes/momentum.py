@@ -29,6 +29,7 @@ from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.numerics.barrier import unstack
+from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import computed_torque
@@ -103,6 +104,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     return State(motion, observer, own, command), output
 
 
+@box("Momentum and its drift")
 def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:
     """Momentum p [n, ...] N m s, and its drift C^T qd - g - D qd - f_c [n, ...] N m, of the nominal arm at (q, qd)."""
     links = rigid_body.nominal_inertias(robot)
@@ -118,6 +120,7 @@ def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:
     return p + lanes.trailing_constant(robot.armature, qd) * qd, drift
 
 
+@box("Momentum observer")
 def observe(
     gains: BaselineGains, before: Observer, now: tuple[Array, Array], tau: Array, dt: float, rate: Array | None = None
 ) -> Observer:

@@ -7,7 +7,7 @@ Here the gains are part of the program, the state is one array, and so is what c
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from jaxftc import checks
+from jaxftc.compile import native
 from jaxftc.compile.xla import ahead
 from jaxftc.config import Config
 from jaxftc.gains import Gains, check
@@ -24,6 +25,7 @@ from jaxftc.types import Array, Measurement, Output, Reference
 _PROCESS = os.getpid()
 _NAMES = ("reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau")
 _TAU = 4  # place of the one signal that may be None
+_VERDICT, _DETECTED = (Output._fields.index(name) for name in ("verdict", "detected"))
 
 
 class Tick:
@@ -36,18 +38,25 @@ class Tick:
         state, out = tick.step(state, reference, measurement)
 
     JAX hands CPU programs to a thread of its own, which costs more than this one takes. A control loop does without:
-    ``jax.config.update("jax_cpu_enable_async_dispatch", False)`` before JAX is first used.
+    ``jax.config.update("jax_cpu_enable_async_dispatch", False)`` before JAX is first used. Where there is a C compiler,
+    ``backend="c"`` does without JAX too: the tick is C code then, several times as fast, and the state a NumPy array.
 
     JAX does not survive a fork: start other processes with ``multiprocessing.get_context("spawn")``, and make a ``Tick`` in
     each.
 
+    Args:
+        config: Robot, scheme and sample time.
+        gains: Constants of the program.
+        backend: ``xla``, or ``c`` for the code that ``jaxftc export`` writes.
+
     Raises:
-        ValueError: an argument is of another kind, or a gain is not allowed.
+        ValueError: an argument is of another kind, a gain is not allowed, or no C compiler for ``backend="c"``.
         RuntimeError: this process was forked.
     """
 
-    def __init__(self, config: Config, gains: Gains) -> None:
+    def __init__(self, config: Config, gains: Gains, *, backend: Literal["xla", "c"] = "xla") -> None:
         _not_forked()
+        checks.one_of("backend", backend, ("xla", "c"))
         check(config, gains)
         self.config, self.gains = config, gains
         start = registry.init(config, gains, jnp.zeros(config.n))
@@ -59,10 +68,11 @@ class Tick:
             return ravel_pytree(state)[0], jnp.stack(rows)
 
         self._signals = np.zeros((5, config.n), flat.dtype)
-        self._step = ahead(step, flat, self._signals)
+        self._step = {"xla": ahead, "c": native.function}[backend](step, flat, self._signals)
         self._shape = flat.shape
+        self._array = jnp.asarray if backend == "xla" else np.asarray
 
-    def init(self, q: np.ndarray) -> Array:
+    def init(self, q: np.ndarray) -> Any:
         """State [size] at rest in q [n] rad, holding the arm against gravity.
 
         Raises:
@@ -71,9 +81,9 @@ class Tick:
         _not_forked()
         q = checks.filled(q)
         self._one_arm("q", q)
-        return ravel_pytree(registry.init(self.config, self.gains, jnp.asarray(q)))[0]
+        return self._array(ravel_pytree(registry.init(self.config, self.gains, jnp.asarray(q)))[0])
 
-    def step(self, state: Array, reference: Reference, measurement: Measurement) -> tuple[Array, Output]:
+    def step(self, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
         """One controller tick: the state and what ``jaxftc.step`` says, as NumPy arrays.
 
         Raises:
@@ -95,8 +105,9 @@ class Tick:
             came = list(np.shape(state)) if isinstance(state, jax.Array | np.ndarray) else f"a {type(state).__name__}"
             raise ValueError(f"state must come from Tick.init, shape {list(self._shape)}, got {came}")
         state, rows = self._step(state, signals)
-        out = Output(*np.asarray(rows))
-        return state, out._replace(verdict=out.verdict.astype(np.int32), detected=out.detected[0] > 0)
+        out = list(np.asarray(rows))
+        out[_VERDICT], out[_DETECTED] = out[_VERDICT].astype(np.int32), out[_DETECTED][0] > 0
+        return state, Output(*out)
 
     def _one_arm(self, name: str, value: Any) -> None:
         if np.shape(value) != (self.config.n,):

@@ -18,6 +18,7 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
+from jaxftc.numerics.box import box
 from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
@@ -112,6 +113,7 @@ def _arrays(config: Config, at: Array, reference: Reference, measurement: Measur
     return Reference(*signals[:3]), Measurement(*signals[3:])
 
 
+@box("Interface: what no arm can do is left out of the signals")
 def _possible(config: Config, state: Any, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
     """Signals without what no arm can do: what every scheme sees.
 

@@ -1,0 +1,102 @@
+"""``jaxftc export``: the tick as C99 and as StableHLO, and the check of both."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from jaxftc.cli import common
+from jaxftc.cli.campaign import SchemeName
+
+if TYPE_CHECKING:
+    from jaxftc.export.check import Compared
+    from jaxftc.export.tick import Tick
+
+
+@dataclasses.dataclass
+class Export(common.Options):
+    """The tick as C99 and as StableHLO, for a controller without Python.
+
+    Writes ftc_step.h, ftc_step.c, example.c, ftc_init.stablehlo, ftc_step.stablehlo, gains.toml and ftc.json.
+    """
+
+    scheme: SchemeName = "cascade"
+    """What diagnoses and controls, as in jaxftc campaign."""
+    dt: float = 1e-3
+    """Sample time, s."""
+    real: Literal["double", "float"] = "double"
+    """Precision of the code."""
+    gains_at_run_time: bool = False
+    """Make the gains an argument, a struct, in place of constants."""
+    check: bool = False
+    """Hold the files against jaxftc.step, tick by tick, under every kind of fault; exit with 1 if they differ. The C code is
+    checked where there is a C compiler."""
+    ticks: int = 10_000
+    """Ticks of each kind of fault in the check."""
+    coulomb: bool = True
+    """Give the PUMA 560 its Coulomb friction, in the controller's model."""
+    seed: int = 0
+    """Seed of the check's motions, faults and noise."""
+    engine: tyro.conf.Suppress[Literal["mjx", "chain"]] = "chain"
+
+    def run(self) -> None:
+        """Write, check, say where."""
+        from jaxftc import checks
+
+        checks.integer("--ticks", self.ticks, 1, "it is the number of ticks of each kind of fault")
+        common.prepare(self, many=self.check)
+        from jaxftc import Config
+        from jaxftc.campaigns.spec import variant
+        from jaxftc.cli import record
+        from jaxftc.export.folder import write
+        from jaxftc.export.tick import precision
+
+        common.key(self)  # the seed's range
+        config = variant(Config(common.load_arm(self), dt=self.dt, t_final=1000 * self.dt, engine="chain"), self.scheme)
+        with precision("double"):
+            gains = common.load_or_default(self, config)
+        with common.folder(self, "export") as folder:
+            tick = write(config, gains, folder, real=self.real, gains_at_run_time=self.gains_at_run_time)
+            compared = self._compare(tick, folder) if self.check else {}
+            checked = {name: one._asdict() | {"met": one.met} for name, one in compared.items()}
+            result = tick.metadata | {"check": checked or None}
+            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
+        for name, one in compared.items():
+            common.say(self, table(name, one))
+        common.say(self, f"Written to {folder}: ftc_step.h, ftc_step.c, example.c, StableHLO, gains.toml, ftc.json")
+        if self.json:
+            print(text)
+        different = [name for name, one in compared.items() if not one.met]
+        if different:
+            print(f"jaxftc: {' and '.join(different)} differ from jaxftc.step, see above", file=sys.stderr)
+            sys.exit(1)
+
+    def _compare(self, tick: Tick, folder: Path) -> dict[str, Compared]:
+        from tqdm import tqdm
+
+        from jaxftc.compile import native
+        from jaxftc.export import check
+        from jaxftc.export.artifact import Native, StableHLO
+
+        artifacts: dict[str, Any] = {"StableHLO": StableHLO(folder, tick)}
+        if native.compiler() is None:
+            common.say(self, "no C compiler (cc, gcc, clang, or the one that CC names): the C code is not checked")
+        else:
+            artifacts = {"C": Native(folder, tick)} | artifacts
+        run = min(check.RUN, self.ticks)
+        total = len(check.KINDS) * run * -(-self.ticks // run)
+        with tqdm(total=total, desc="ticks", unit="tick", leave=False) as bar:
+            return check.compare(tick, artifacts, ticks=self.ticks, run=run, seed=self.seed, done=bar.update)
+
+
+def table(name: str, found: Compared) -> str:
+    """The comparison of an artifact as text."""
+    lines = [f"{name} against jaxftc.step, {found.ticks} ticks of each kind of fault", ""]
+    lines += [f"{'fault':22}{'largest difference over the signal':>36}"]
+    lines += [f"{kind:22}{error:36.1e}" for kind, error in found.error.items()]
+    lines.append(f"\nallowed {found.tolerance:g}; verdicts that differ: {found.verdicts}; worst signal: {found.worst}")
+    return "\n".join([*lines, "the same\n" if found.met else "NOT THE SAME\n"])

@@ -1,0 +1,89 @@
+"""The tick as StableHLO, by ``jax.export``: two files that any JAX of the next half year reads, and a loader for them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from jax import export
+
+from jaxftc.export.tick import Tick, precision
+from jaxftc.io.files import digest
+from jaxftc.types import Measurement, Output, Reference
+
+PLATFORMS = ("cpu", "cuda", "rocm", "tpu")
+FILES = ("ftc_init.stablehlo", "ftc_step.stablehlo")
+METADATA = "ftc.json"
+
+
+def programs(tick: Tick) -> dict[str, bytes]:
+    """Content of the files by name: functions of leaves, which ``ftc.json`` names in their order."""
+    found = {}
+    with precision(tick.real):
+        for file, fun, arguments in zip(
+            FILES, (tick.init, tick.step), (tick.init_arguments, tick.step_arguments), strict=True
+        ):
+            leaves, tree = jax.tree.flatten(arguments)
+            flat = _flat(fun, tree)
+            exported = export.export(jax.jit(flat), platforms=PLATFORMS)(*[jax.typeof(np.asarray(x)) for x in leaves])
+            found[file] = bytes(exported.serialize())
+    return found
+
+
+def _flat(fun: Callable[..., Any], tree: Any) -> Callable[..., list[Any]]:
+    return lambda *leaves: jax.tree.leaves(fun(*jax.tree.unflatten(tree, leaves)))
+
+
+class Loaded:
+    """``init`` and ``step`` of a folder that ``jaxftc export`` wrote, for JAX; the state is a list of arrays.
+
+    Attributes:
+        metadata: Joint names, sample time, limits, hash of the gains and the rest of ``ftc.json``.
+        gains: Leaves of the gains in the order of ``metadata``, where they are an argument; to be changed between ticks.
+    """
+
+    def __init__(self, folder: Path, metadata: dict[str, Any]) -> None:
+        self.metadata = metadata
+        read = [export.deserialize(bytearray((folder / file).read_bytes())) for file in FILES]
+        self.call_init, self.call_step = (exported.call for exported in read)  # of leaves, to be traced
+        self._init, self._step = jax.jit(self.call_init), jax.jit(self.call_step)
+        self._states = len(metadata["signals"]["state"])
+        at_run_time = metadata["gains"] == "at run time"
+        self.gains = [np.asarray(leaf["value"], self._dtype()) for leaf in metadata["signals"]["gains"] if at_run_time]
+
+    def init(self, q: Any) -> list[jax.Array]:
+        """State at rest in q [n] rad, holding the arm against gravity."""
+        with precision(self.metadata["real"]):
+            return self._init(*self.gains, np.asarray(q, self._dtype()))
+
+    def step(self, state: list[Any], reference: Reference, measurement: Measurement) -> tuple[list[jax.Array], Output]:
+        """One tick: the next state, and what ``jaxftc.step`` says."""
+        with precision(self.metadata["real"]):
+            signals = [np.asarray(x, self._dtype()) for x in (*reference, *measurement)]
+            made = self._step(*self.gains, *state, *signals)
+        return made[: self._states], Output(*made[self._states :])
+
+    def _dtype(self) -> Any:
+        return np.float64 if self.metadata["real"] == "double" else np.float32
+
+
+def load(folder: str | Path) -> Loaded:
+    """The exported tick of a folder, for JAX.
+
+    Raises:
+        ValueError: the folder has none, or a file is not as it was written.
+    """
+    folder = Path(folder)
+    try:
+        metadata = json.loads((folder / METADATA).read_text(encoding="utf-8"))
+        sums = {file: metadata["files"][file] for file in FILES}
+        damaged = [file for file, sha256 in sums.items() if digest(folder / file) != sha256]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"no exported tick in {folder}: {error}; write one with jaxftc export --out {folder}") from error
+    if damaged:
+        raise ValueError(f"{folder / damaged[0]} is not as it was written; export again")
+    return Loaded(folder, metadata)
