@@ -128,7 +128,8 @@ def _possible(config: Config, state: Any, reference: Reference, measurement: Mea
     middle, half = (lanes.trailing_constant(bound, at) for bound in reach.angles(config.robot))
     near = jnp.abs(measurement.q - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
     there = near & (jnp.abs(measurement.q - middle) <= half) if reach.limited(config.robot) else near
-    reading = jnp.where(there, measurement.q, (measurement.q - at) * jnp.inf)
+    beyond = jax.lax.stop_gradient((measurement.q - at) * jnp.inf)  # no slope: it is infinite
+    reading = jnp.where(there, measurement.q, beyond)
     limit = lanes.trailing_constant(config.robot.torque_limit, at)
     tau = smooth.saturate(jnp.where(jnp.isfinite(measurement.tau), measurement.tau, state.command.tau), limit)
     slow = (jnp.abs(qd) <= reach.REFERENCE_SPEED) & (jnp.abs(qdd) <= reach.REFERENCE_ACCELERATION)
