@@ -179,7 +179,7 @@ def _returned(config: Config, state: State, sensors: SensorStatus, e: Array, b: 
     """Whether a reading that comes back, e [n, ...] rad off a prediction without a fault, has lost its fault b in the pause.
 
     First, the end of a drift. Its size is not known well, for it moves the arm: a reading is believed that comes back
-    clearly nearer. Second, what is nearer to the prediction is believed. The prediction gets worse with the pause, and the fault is
+    clearly nearer. Second, what is nearer to the prediction is believed. That gets worse with the pause, and the fault is
     believed less.
     """
     blind = 0.5 * BLIND * (config.dt * state.unread) ** 2
