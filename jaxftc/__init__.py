@@ -32,7 +32,7 @@ _ROOMS = {
     "campaigns.calibrate": ("calibrate",),
     "campaigns.run": ("campaign",),
     "schemes.registry": ("init", "step"),
-    "schemes.realtime": ("Tick",),
+    "realtime.tick": ("Tick",),
     "types": ("Measurement", "Output", "Reference", "Verdict"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
@@ -41,6 +41,7 @@ _MODULES = {  # public modules, and where they are
     "logs": "logs",
     "metrics": "evaluation.metrics",
     "observer": "observer",
+    "realtime": "realtime",
 }
 
 
