@@ -128,6 +128,7 @@ class Simulate(common.Options):
             raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
         asked = store.read_manifest(self.campaign)["request"]
         options = dataclasses.replace(self, robot=asked["robot"], coulomb=asked["coulomb"] and asked["robot"] == "puma560")
+        common.look_here_for(asked["scheme"])
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
         row, trace = again(job, self.id)

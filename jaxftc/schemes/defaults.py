@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.config import Config
-from jaxftc.gains import BLOCKS, Gains, build, shape_of, specs
+from jaxftc.gains import Gains, blocks, build, shape_of, specs
 from jaxftc.observer.readout import exact
 from jaxftc.robot import dynamics, rigid_body
 
@@ -18,8 +18,8 @@ def default_gains(config: Config) -> Gains:
 
     For ``input="torque"`` the read-out is that of an arm with the constant inertia it has in its zero position.
     """
-    values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
-    for block, name, spec in specs():
+    values: dict[str, dict[str, Any]] = {block: {} for block in blocks(config)}
+    for block, name, spec in specs(config):
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
     values["arx"] |= {name: np.zeros(shape_of(config, spec)) for _, name, spec in specs() if spec.default is None}

@@ -27,6 +27,7 @@ from jaxftc.gains import BaselineGains, Gains
 from jaxftc.robot import dynamics, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
+from jaxftc.schemes.output import output
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = True
@@ -53,6 +54,11 @@ class State(NamedTuple):
         """Angle [n, ...] rad."""
         return parts(self.belief.mean)[0]
 
+    @property
+    def tau(self) -> Array:
+        """Last command [n, ...] N m, before the limits."""
+        return self.command.tau
+
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
@@ -77,9 +83,9 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
 
     own, alarms = alarm.step(config, gains, state.alarm, Statistics(fault_tau, fault_q))
-    output = computed_torque.report(
+    said = output(
         config,
-        command,
+        command.tau,
         q,
         qd,
         threshold_tau=gains.diagnosis.alpha_tau,
@@ -89,7 +95,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         verdict=decision.verdict(alarms.tau, alarms.q),
     )
     unread = jnp.where(jnp.isfinite(measurement.q), 0.0, state.unread + 1)
-    return State(belief, unread, own, command), output
+    return State(belief, unread, own, command), said
 
 
 def predict(config: Config, gains: BaselineGains, belief: Belief, tau: Array) -> Belief:

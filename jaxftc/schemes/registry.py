@@ -6,12 +6,11 @@ has the table of schemes and what each must have.
 
 from __future__ import annotations
 
-from importlib import import_module
 from typing import Any
 
 import jax.numpy as jnp
 
-from jaxftc import checks
+from jaxftc import checks, variants
 from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
@@ -19,12 +18,11 @@ from jaxftc.numerics import smooth
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference
-from jaxftc.variants import SCHEMES
 
 
 def scheme(config: Config) -> Any:
-    """The module of a config's scheme."""
-    return import_module(SCHEMES[config.scheme])
+    """The module or object of a config's scheme."""
+    return variants.load(config.scheme)
 
 
 def init(config: Config, gains: Gains, q: Array) -> Any:
@@ -93,7 +91,7 @@ def _signals(config: Config, state: Any, reference: Reference, measurement: Meas
     near = jnp.abs(reading - at) <= reach.TURN + reach.SPEED * config.dt * state.unread
     reading = jnp.where(near & (jnp.abs(reading - middle) <= half), reading, jnp.nan)
     limit = lanes.trailing_constant(robot.torque_limit, at)
-    tau = smooth.saturate(jnp.where(jnp.isfinite(tau), tau, state.command.tau), limit)
+    tau = smooth.saturate(jnp.where(jnp.isfinite(tau), tau, state.tau), limit)
     slow = (jnp.abs(qd) <= reach.SPEED) & (jnp.abs(qdd) <= reach.ACCELERATION)
     wanted = slow & (jnp.abs(q - middle) <= half)
     held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
