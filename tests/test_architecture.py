@@ -153,7 +153,7 @@ def test_no_cycle_of_imports():
 def test_type_checkers_and_python_see_the_same_public_names(package):
     name, version = package.__name__, {("__version__", "jaxftc.version")} if package is jaxftc else set()
     modules = {("metrics", "jaxftc.evaluation")} | {
-        (room, "jaxftc") for room in ("identify", "logs", "observer", "realtime")
+        (room, "jaxftc") for room in ("faults", "identify", "logs", "observer", "realtime")
     }
     modules = modules if package is jaxftc else set()
     stub = ast.parse((ROOT / name / "__init__.pyi").read_text())

@@ -16,6 +16,7 @@ import jaxftc
 import tuning
 from benchmarks.arms import serial
 from jaxftc import variants
+from jaxftc.campaigns import store
 from jaxftc.robot.model import compile_robot
 
 FOLDER = Path(__file__).parents[1] / "docs" / "schemes"
@@ -167,7 +168,7 @@ def test_it_is_tuned(pd):
     found = tuning.fit(pd, start, scenarios, key=jax.random.key(1), objective=terms, settings=settings)
     assert not np.array_equal(found.gains.own.kp, start.own.kp)
     np.testing.assert_array_equal(found.gains.control.lam, start.control.lam)
-    with pytest.raises(ValueError, match="gain 'control.lam' does nothing with scheme 'pd_gravity'"):
+    with pytest.raises(ValueError, match=r"gain 'control\.lam' does nothing with scheme 'pd_gravity'"):
         tuning.fit(pd, start, scenarios, key=jax.random.key(1), only=("control.lam",), settings=settings)
 
 
@@ -215,7 +216,7 @@ def test_campaigns_find_it_in_another_process(here):
     run = ["campaign", "--robot", "arm.xml", "--duration", "0.15", "--out", "run", "--scheme", "pd_gravity", "--worst", "0"]
     code, _, error = call(*run, "-n", "4")
     assert code == 0, error
-    manifest = json.loads((here / "run" / "manifest.json").read_text())
+    manifest = store.read_manifest(here / "run")
     assert manifest["request"]["scheme"] == "pd_gravity" and manifest["config"]["scheme_source"]
     code, text, error = call("simulate", "--from", "run", "--id", "3", "--out", "again", "--json")
     assert code == 0, error
@@ -237,7 +238,7 @@ def test_it_is_compared_calibrated_and_tuned_from_the_command_line(here, capsys)
     gains = ("--gains", "thresholds/gains.toml")
     names = "cascade,disturbance_observer,delayed:pd_1"
     command("campaign", *arm, "-n", "64", "--compare", names, "--false-alarms", "0.05", "--out", "run")
-    assert {path.parent.name for path in here.glob("run/*/manifest.json")} == {*names.replace(":", ".").split(",")}
+    assert {path.parent.name for path in here.glob(f"run/*/{store.MANIFEST}")} == {*names.replace(":", ".").split(",")}
     small = ("--steps", "2", "--batch", "4", "--validation", "4", "--held-out", "4")
     command("tune", *arm, *gains, "--scheme", "disturbance_observer", "--only", "own", *small, "--out", "tuned")
     text = capsys.readouterr().out
@@ -248,14 +249,16 @@ def test_it_is_compared_calibrated_and_tuned_from_the_command_line(here, capsys)
 
 @pytest.mark.slow
 def test_it_is_tuned_by_gradients_with_a_delay_of_0_to_3_ticks(base):
-    """More delay allows less damping: at the default gains three ticks are not stable, at the tuned ones they are."""
+    """The commands of the arm that is tuned come late; the gradient goes through the queue of those under way."""
     terms = {"tracking": tuning.OBJECTIVE["tracking"]}
     for scheme in ("pd_gravity", "delayed:pd_1", "delayed:pd_2", "delayed:pd_3"):
         config = dataclasses.replace(base, scheme=scheme)
-        start = jaxftc.default_gains(config).replace({"own.kp": 100.0})
-        scenarios = jaxftc.sample_scenarios(jax.random.key(0), 160, "paper", config=config)
-        settings = tuning.Settings(steps=20, batch=8, validation=16, learning_rate=0.2)
+        start = jaxftc.default_gains(config).replace({"own.kp": 100.0, "own.kd": 20.0})
+        scenarios = jaxftc.sample_scenarios(jax.random.key(0), 320, "paper", config=config)
+        settings = tuning.Settings(steps=40, batch=8, validation=16, learning_rate=0.2)
         key = jax.random.key(1)
         found = tuning.fit(config, start, scenarios, key=key, objective=terms, settings=settings, only=("own",))
-        print(scheme, found.history["validation"][0], found.history["validation"].min(), found.gains.own)
-        assert found.history["validation"].min() < 0.7 * found.history["validation"][0]
+        before, after = found.history["validation"][0], found.history["validation"].min()
+        kp, kd = (np.asarray(gain).round(1) for gain in (found.gains.own.kp, found.gains.own.kd))
+        print(f"{scheme}: tracking {before:.3f} -> {after:.3f}, kp {kp}, kd {kd}")
+        assert after < 0.8 * before
