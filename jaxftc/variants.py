@@ -121,10 +121,10 @@ def code(name: str) -> tuple[Any, ...]:
 
 
 def source(name: str) -> str | None:
-    """A digest of the file that a user's scheme is in, if it is in one; what that imports is not looked at."""
+    """A digest of a user's scheme, its name and the file that it is in, if it is in one; what that imports is not looked at."""
     from hashlib import sha256
     from importlib import import_module
     from pathlib import Path
 
     path = None if name in SCHEMES else getattr(import_module(name.partition(":")[0]), "__file__", None)
-    return sha256(Path(path).read_bytes()).hexdigest()[:16] if path else None
+    return sha256(name.encode() + Path(path).read_bytes()).hexdigest()[:16] if path else None

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import subprocess
 import sys
 import types
 from pathlib import Path
@@ -187,12 +188,6 @@ def test_a_delay_is_a_scheme_around_another(base):
     assert np.abs(taus[2] - held).max() > 10.0
 
 
-def command(*words):
-    from jaxftc.cli.main import main
-
-    main([str(word) for word in words])
-
-
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder with the schemes and an arm, and a command line in it whose Python finds nothing there by itself."""
@@ -203,28 +198,28 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+def call(*words):
+    """(exit code, stdout, stderr) of a command in a process of its own, whose Python does not look in its folder."""
+    here = os.environ | {"PYTHONPATH": str(Path(jaxftc.__file__).parents[1]), "XDG_CACHE_HOME": os.getcwd()}
+    line = "import sys; sys.path = [p for p in sys.path if p]; from jaxftc.cli.main import main; main()"
+    done = subprocess.run([sys.executable, "-c", line, *words], capture_output=True, text=True, env=here, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
 def test_campaigns_find_it_in_another_process(here):
     """Compared with one of ours, gone on with, replayed from the folder alone, and refused when its code has changed."""
-    import subprocess
-
-    def call(*words):
-        environment = os.environ | {"PYTHONPATH": str(Path(jaxftc.__file__).parents[1]), "XDG_CACHE_HOME": str(here)}
-        line = "import sys; sys.path = [p for p in sys.path if p]; from jaxftc.cli.main import main; main()"
-        done = subprocess.run([sys.executable, "-c", line, *words], capture_output=True, text=True, env=environment)
-        return done.returncode, done.stdout, done.stderr
-
     run = ["campaign", "--robot", "arm.xml", "--duration", "0.15", "--out", "run", "--scheme", "pd_gravity", "--worst", "0"]
     code, _, error = call(*run, "-n", "4")
     assert code == 0, error
     manifest = store.read_manifest(here / "run")
-    assert manifest["request"]["scheme"] == "pd_gravity" and manifest["config"]["scheme_source"]
+    assert store.scheme_of(manifest) == "pd_gravity"
     code, text, error = call("simulate", "--from", "run", "--id", "3", "--out", "again", "--json")
     assert code == 0, error
     assert json.loads(text)["same_as_stored"] is True
     with (here / "pd_gravity.py").open("a") as file:
         file.write("\n# changed\n")
     code, _, error = call(*run, "-n", "8")
-    assert code == 2 and "scheme_source" in error
+    assert code == 2 and "holds another campaign: --scheme pd_gravity of content" in error
     code, _, error = call("simulate", "--from", "run", "--id", "3", "--out", "other")
     assert code == 2 and "was run with another scheme_source" in error
     code, _, error = call("campaign", "--robot", "arm.xml", "--scheme", "nowhere:PD", "--out", "none")
@@ -232,17 +227,19 @@ def test_campaigns_find_it_in_another_process(here):
 
 
 @pytest.mark.slow
-def test_it_is_compared_calibrated_and_tuned_from_the_command_line(here, capsys):
+def test_it_is_compared_calibrated_and_tuned_from_the_command_line(here):
     arm = ("--robot", "arm.xml", "--duration", "0.2")
-    command("calibrate", *arm, "--scheme", "disturbance_observer", "--runs", "800", "--out", "thresholds")
-    gains = ("--gains", "thresholds/gains.toml")
+    code, _, error = call("calibrate", *arm, "--scheme", "disturbance_observer", "--runs", "800", "--out", "thresholds")
+    assert code == 0, error
     names = "cascade,disturbance_observer,delayed:pd_1"
-    command("campaign", *arm, "-n", "64", "--compare", names, "--false-alarms", "0.05", "--out", "run")
+    code, text, error = call("campaign", *arm, "-n", "64", "--compare", names, "--false-alarms", "0.05", "--out", "run")
+    assert code == 0, error
     assert {path.parent.name for path in here.glob(f"run/*/{store.MANIFEST}")} == {*names.replace(":", ".").split(",")}
-    small = ("--steps", "2", "--batch", "4", "--validation", "4", "--held-out", "4")
-    command("tune", *arm, *gains, "--scheme", "disturbance_observer", "--only", "own", *small, "--out", "tuned")
-    text = capsys.readouterr().out
-    assert "own.kp" in text and "observer.alpha_i" not in text.partition("before -> after")[2]
+    small = ("--steps", "2", "--batch", "4", "--validation", "4", "--held-out", "4", "--gains", "thresholds/gains.toml")
+    code, text, error = call("tune", *arm, "--scheme", "disturbance_observer", "--only", "own", *small, "--out", "tuned")
+    assert code == 0, error
+    moved = text.partition("before -> after")[2]
+    assert "own.kp" in moved and "observer.alpha_i" not in moved
     config = jaxftc.Config(jaxftc.load_robot("arm.xml"), engine="chain", scheme="disturbance_observer")
     assert jaxftc.load_gains("tuned/gains.toml", config).own.c[0] > 0
 

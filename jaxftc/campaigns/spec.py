@@ -202,7 +202,8 @@ def load(folder: Path, base: Config) -> Job:
     """
     store.unaltered(folder)
     manifest = store.read_manifest(folder)
-    config = variant(base, manifest["request"]["scheme"])
+    name = store.scheme_of(manifest)
+    config = variant(base, name)
     ours, theirs = describe(config), manifest["config"]
     other = [
         f"{name} {theirs.get(name)!r}, here {ours.get(name)!r}"
@@ -212,7 +213,7 @@ def load(folder: Path, base: Config) -> Job:
     if other:
         raise ValueError(f"{folder} was run with another {'; another '.join(other)}")
     gains, preset = load_gains(folder / store.GAINS, config), load_preset(folder / store.PRESET)
-    return Job(config, gains, preset, manifest["request"]["seed"], manifest["request"]["scheme"])
+    return Job(config, gains, preset, manifest["request"]["seed"], name)
 
 
 def worst(job: Job, rows: Mapping[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:

@@ -167,7 +167,7 @@ class Campaign(Laws):
         from jaxftc.report import campaign
         from jaxftc.schemes.registry import scheme
 
-        name, note = request["scheme"], lambda text: common.say(self, text)
+        name, note = job.scheme, lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
             job, manifest = begin(folder, job, request, share, bar.update, note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
@@ -196,10 +196,10 @@ class Campaign(Laws):
         from jaxftc.scenarios.preset_file import as_dict
 
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
-        request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
-        request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         source = job.config.record.get("scheme_source")
-        request |= {} if source is None else {"scheme_source": source}
+        scheme = name if source is None else [name, source]
+        request: dict[str, Any] = {"scheme": scheme, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
+        request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         if self.gains is not None:

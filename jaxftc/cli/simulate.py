@@ -126,9 +126,10 @@ class Simulate(common.Options):
             )
         if not 0 <= self.id < 2**31:
             raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
-        asked = store.read_manifest(self.campaign)["request"]
+        manifest = store.read_manifest(self.campaign)
+        asked, name = manifest["request"], store.scheme_of(manifest)
         options = dataclasses.replace(self, robot=asked["robot"], coulomb=asked["coulomb"] and asked["robot"] == "puma560")
-        common.look_here_for(asked["scheme"])
+        common.look_here_for(name)
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
         row, trace = again(job, self.id)
@@ -138,7 +139,7 @@ class Simulate(common.Options):
             same = all(np.array_equal(stored[k], v, equal_nan=v.dtype.kind == "f") for k, v in row.items())
         values = {name: column[0].item() for name, column in row.items()}
         clean = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
-        title = f"scenario {self.id} of {self.campaign}, scheme {asked['scheme']}"
+        title = f"scenario {self.id} of {self.campaign}, scheme {name}"
         return job.config, metrics.columns(trace), title, {"row": clean, "same_as_stored": same}
 
 
