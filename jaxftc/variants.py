@@ -121,7 +121,7 @@ def code(name: str) -> tuple[Any, ...]:
 
 
 def source(name: str) -> str | None:
-    """A digest of a user's scheme, its name and the file that it is in, if it is in one; what that imports is not looked at."""
+    """A digest of the name and the file of a user's scheme, if it is in one; what that imports is not looked at."""
     from hashlib import sha256
     from importlib import import_module
     from pathlib import Path

@@ -238,3 +238,16 @@ def test_no_controller_depends_on_settings_of_the_simulation(room):
         if isinstance(node, ast.Attribute) and node.attr in {"engine", "t_final", "duration", "ticks"}
     }
     assert not read
+
+
+def test_nobody_asks_which_scheme_it_has():
+    """What differs from scheme to scheme, the scheme says."""
+    asked = {
+        f"{name}:{node.lineno}"
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Compare)
+        and any(isinstance(part, ast.Attribute) and part.attr == "scheme" for part in (node.left, *node.comparators))
+        and any(isinstance(part, ast.Constant) for part in (node.left, *node.comparators))
+    }
+    assert not asked
