@@ -313,9 +313,10 @@ def test_the_stop_brakes_a_moving_arm(loop):
 
 
 def test_a_stop_of_ones_own(loop):
-    loop.stop = lambda since, out: (np.full(2, 7.0), since > 0.0495)
+    loop.stop = lambda since, out: (np.array([7.0, 1e6]), since > 0.0495)
     loop.run(0.1)
-    assert [float(tau[0]) for _, tau in loop.robot.written[-51:]] == [7.0] * 51
+    limit = loop.config.robot.torque_limit[1]
+    assert [tau.tolist() for _, tau in loop.robot.written[-51:]] == [[7.0, limit]] * 51
     for bad in (lambda since, out: 1 / 0, lambda since, out: (np.full(2, np.nan), False)):
         loop.robot, loop.stop = Arm(loop.config.robot, loop.clock), bad
         loop.run(0.1)

@@ -134,8 +134,7 @@ class Loop:
         self._asked = None
         state = self.tick.init(_angles(self.robot.read(), self.config.n)[0])
         run = self._run = _Run(self, state)
-        self.tick.step(state, self._nowhere, Measurement(self._nan, self._nan))  # warm: nothing is done for the first time
-        self._safe(0.0, run.out)
+        self._safe(0.0, run.out)  # as the tick has been: nothing is done for the first time later
         gc.collect()
         gc.freeze()  # what is there now is never searched for garbage again, which would take many ticks
         try:
@@ -162,17 +161,13 @@ class _Run:
         self.summary = Summary(loop.config.dt)
         self.reacted = loop.reaction.init(loop.config.n)
         self.over = False
-        self.out: Any = loop.tick.step(state, loop._nowhere, Measurement(loop._nan, loop._nan))[
-            1
-        ]  # the last finite estimates
-        self._stop = loop.stop
+        # The last output whose estimates are finite; before the first tick that of one without a reading.
+        self.out: Any = loop.tick.step(state, loop._nowhere, Measurement(loop._nan, loop._nan))[1]
+        self._stop, self._limit = loop.stop, np.asarray(loop.config.robot.torque_limit)
         self._watch = Watch(loop.trips, loop.config)
         self._k, self._last = 0, -1  # the tick to come, and the last that was run
-        self._held: tuple[Any, Any, int] = (
-            loop._nan,
-            loop._nan,
-            0,
-        )  # torque before, torque now, and the tick from which on it is held
+        # Torque before, torque now, and the tick from which on that is held.
+        self._held: tuple[Any, Any, int] = (loop._nan, loop._nan, 0)
         self._tripped = 0  # tick of the trip
         self._missing = np.zeros(loop.config.n, bool)
         self._streak, self._worst = 0, 0.0  # deadlines missed one after another, and the latest command among them, s
@@ -291,7 +286,7 @@ class _Run:
             self.events.add(k * loop.config.dt, "stop failed", why=repr(error))
             self._stop, self._tripped = loop._safe, k
             tau, self.over = loop._safe(0.0, self._estimates(out))
-        return tau
+        return np.clip(tau, -self._limit, self._limit)
 
     def _estimates(self, out: Any) -> Output:
         """The output with estimates that are finite: its own, or the last angles that were, at rest."""
