@@ -19,12 +19,12 @@ from jaxftc.compile import native
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.realtime.tick import Tick
 from jaxftc.robot import dynamics as arm
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.sample import sample_scenarios
 from jaxftc.scenarios.scenario import Scenario, paper_scenario, take, trail
 from jaxftc.schemes import registry
-from jaxftc.schemes.realtime import Tick
 from jaxftc.simulation import closed_loop
 from jaxftc.types import Measurement, Reference
 from tuning import transform

@@ -33,15 +33,17 @@ _ROOMS = {
     "campaigns.calibrate": ("calibrate",),
     "campaigns.run": ("campaign",),
     "schemes.registry": ("init", "step"),
-    "schemes.realtime": ("Tick",),
+    "realtime.tick": ("Tick",),
     "types": ("Measurement", "Output", "Reference", "Verdict"),
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 _MODULES = {  # public modules, and where they are
+    "faults": "faults",
     "identify": "identify",
     "logs": "logs",
     "metrics": "evaluation.metrics",
     "observer": "observer",
+    "realtime": "realtime",
 }
 
 

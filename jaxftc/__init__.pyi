@@ -1,7 +1,9 @@
 # The public names for type checkers; __init__.py loads them on first use.
+from jaxftc import faults as faults
 from jaxftc import identify as identify
 from jaxftc import logs as logs
 from jaxftc import observer as observer
+from jaxftc import realtime as realtime
 from jaxftc.campaigns.calibrate import calibrate as calibrate
 from jaxftc.campaigns.run import campaign as campaign
 from jaxftc.compile.xla import configure_xla as configure_xla
@@ -10,6 +12,7 @@ from jaxftc.evaluation import metrics as metrics
 from jaxftc.gains import Gains as Gains
 from jaxftc.gains_file import load_gains as load_gains
 from jaxftc.gains_file import save_gains as save_gains
+from jaxftc.realtime.tick import Tick as Tick
 from jaxftc.robot.arm_file import Arm as Arm
 from jaxftc.robot.arm_file import Recording as Recording
 from jaxftc.robot.arm_file import load_arm as load_arm
@@ -29,7 +32,6 @@ from jaxftc.scenarios.scenario import healthy_scenario as healthy_scenario
 from jaxftc.scenarios.scenario import paper_scenario as paper_scenario
 from jaxftc.schemes.cascade import State as State
 from jaxftc.schemes.defaults import default_gains as default_gains
-from jaxftc.schemes.realtime import Tick as Tick
 from jaxftc.schemes.registry import init as init
 from jaxftc.schemes.registry import step as step
 from jaxftc.simulation.closed_loop import Trace as Trace

@@ -72,6 +72,13 @@ def positive(name: str, value: float, unit: str) -> None:
         raise ValueError(f"{name} must be a positive, finite number of {unit}, got {value!r}")
 
 
+def span(name: str, value: float, *, finite: bool = False) -> None:
+    """Refuse a time that is negative, no number or, where it must not be, infinite."""
+    if not (isinstance(value, numbers.Real) and value >= 0 and (math.isfinite(value) or not finite)):
+        allowed = "at least 0 and finite" if finite else "at least 0; math.inf is never"
+        raise ValueError(f"{name} must be a number of seconds, {allowed}, got {value!r}")
+
+
 def multiple(name: str, value: float, dt: float) -> int:
     """Return value / dt as an integer, or refuse: times are never rounded silently."""
     ticks = round(min(value / dt, MOST_TICKS + 1))

@@ -5,11 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal
 
-from jaxftc import checks
+from jaxftc import checks, variants
 from jaxftc.fuzzy.rule_table import TABLES
 from jaxftc.robot.dynamics import ENGINES, Engine
 from jaxftc.robot.model import Robot
-from jaxftc.variants import SCHEMES
 
 Observer = Literal["pi", "eso", "ts", "eso_printed"]
 Control = Literal["smc", "esmc", "afesmc"]
@@ -35,7 +34,8 @@ class Config:
         engine: Dynamics of the simulated arm: MuJoCo MJX, or the unrolled chain (same motion,
             several times as fast).
         scheme: The paper's observer and controller, or another name of the table in
-            ``jaxftc.variants``.
+            ``jaxftc.variants``; or a scheme of your own, as ``module:object``, or the module or
+            class itself. It is kept as that text.
         observer: How much of the cascade runs: ``pi`` is block 2, ``eso`` adds block 3, Eq. (7)
             mended (``eso_printed``: as printed), ``ts`` adds block 4.
         control: Sliding-mode law: Eq. (19), (24) or (30).
@@ -60,7 +60,7 @@ class Config:
     t_final: float = 1.0
     duration: float | None = None
     engine: Engine = "mjx"
-    scheme: str = "cascade"
+    scheme: Any = "cascade"
     observer: Observer = "ts"
     control: Control = "afesmc"
     order_a: int = 3
@@ -71,6 +71,7 @@ class Config:
     alarm_ticks: int = BY_TIME
     release_ticks: int = BY_TIME
     transient_ticks: int = BY_TIME
+    _code: tuple[Any, ...] = dataclasses.field(init=False, repr=False, default=())  # of a scheme of the user's
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
@@ -85,7 +86,8 @@ class Config:
             checks.positive("duration", self.duration, "seconds")
             checks.multiple("duration", self.duration, self.dt)
         checks.one_of("engine", self.engine, ENGINES)
-        checks.one_of("scheme", self.scheme, tuple(SCHEMES))
+        object.__setattr__(self, "scheme", variants.name_of(self.scheme))
+        object.__setattr__(self, "_code", variants.code(self.scheme))
         checks.one_of("observer", self.observer, (*OBSERVERS, "eso_printed"))
         checks.one_of("control", self.control, CONTROLS)
         checks.one_of("input", self.input, ("rigid_body", "torque"))
@@ -106,6 +108,13 @@ class Config:
     def ticks(self) -> int:
         """Number of controller ticks in a simulation."""
         return checks.multiple("duration", self.duration or self.t_final, self.dt)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Every field but the robot, for files that say what ran; of a scheme of the user's a digest of its source, too."""
+        names = [field.name for field in dataclasses.fields(self) if field.init and field.name != "robot"]
+        source = variants.source(self.scheme)
+        return {name: getattr(self, name) for name in names} | ({} if source is None else {"scheme_source": source})
 
     @property
     def inputs(self) -> int:

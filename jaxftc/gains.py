@@ -17,7 +17,7 @@ import numpy as np
 from jax.core import Tracer
 from jax.typing import ArrayLike
 
-from jaxftc import checks
+from jaxftc import checks, variants
 from jaxftc.config import Config
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
@@ -35,7 +35,7 @@ class Spec(NamedTuple):
     doc: str
 
 
-def _gain(
+def gain(
     axes: str,
     unit: str,
     default: Any,
@@ -45,12 +45,23 @@ def _gain(
     above: float | None = None,
     doc: str,
 ) -> Any:
+    """A field of a block of gains.
+
+    Args:
+        axes: Its own axes with blanks between: ``n`` is one value a joint, a number so many for all joints.
+        unit: Its unit, 1 if it has none.
+        default: A number, or one for each of so many.
+        low: Least value that is allowed.
+        high: Largest value that is allowed.
+        above: In place of ``low``, the value that it must lie above.
+        doc: What it is, in a few words.
+    """
     spec = Spec(tuple(axes.split()), unit, default, low if above is None else above, high, above is not None, doc)
     return dataclasses.field(metadata={"spec": spec})
 
 
-def _block(cls: type) -> type:
-    """A block of gains as a pytree; its fields explained in ``help()``."""
+def block(cls: type) -> type:
+    """Make a class of ``gain`` fields a block of gains: a pytree, its fields explained in ``help()``."""
     cls = jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
     specs = [(field.name, field.metadata["spec"]) for field in dataclasses.fields(cls)]
     lines = [f"    {name}: [{', '.join(spec.axes)}] {spec.unit}, {spec.doc}." for name, spec in specs]
@@ -62,87 +73,87 @@ _THIRDS = tuple(k / 3 for k in range(-3, 4))
 _Q_RANGE, _S_RANGE = math.radians(100.0), 1.0  # rad and rad/s, the paper's ranges of Table 1's inputs
 
 
-@_block
+@block
 class ArxGains:
     """Block 1, Eqs. (4), (5)."""
 
-    xi_a: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the angle's bank, in (-1, 1)")
-    xi_b: Array = _gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the input's bank, in (-1, 1)")
-    kappa_a: Array = _gain("n a", "1", None, doc="read-out of the angle's bank")
-    kappa_b: Array = _gain("n u b", "rad per input unit", None, doc="read-out of the input's bank")
-    offset: Array = _gain("n", "rad", 0.0, doc="read-out of the constant input")
+    xi_a: Array = gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the angle's bank, in (-1, 1)")
+    xi_b: Array = gain("n", "1", 0.8, above=-1.0, high=1.0, doc="pole of the input's bank, in (-1, 1)")
+    kappa_a: Array = gain("n a", "1", None, doc="read-out of the angle's bank")
+    kappa_b: Array = gain("n u b", "rad per input unit", None, doc="read-out of the input's bank")
+    offset: Array = gain("n", "rad", 0.0, doc="read-out of the constant input")
 
 
-@_block
+@block
 class ObserverGains:
     """Blocks 2 to 4, Eqs. (6) to (10). Gains act per tick."""
 
-    alpha_p: Array = _gain("n", "1", 0.7, above=0.0, high=1.0, doc="correction weight, Eq. (6)")
-    alpha_i: Array = _gain("n", "1/s^2", 680.0, low=0.0, doc="integral, Eq. (6)")
-    alpha_sm: Array = _gain("n", "rad^0.5/s^2", 120.0, low=0.0, doc="super-twisting root, Eq. (7)")
-    alpha_sm0: Array = _gain("n", "rad/s^3", 30.0, low=0.0, doc="super-twisting integral, Eq. (7)")
-    eps: Array = _gain("n", "rad", 1e-3, above=0.0, doc="width of the smooth sgn of the innovation")
-    alpha_f1: Array = _gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator rule, Eq. (9)")
-    alpha_f2: Array = _gain(
+    alpha_p: Array = gain("n", "1", 0.7, above=0.0, high=1.0, doc="correction weight, Eq. (6)")
+    alpha_i: Array = gain("n", "1/s^2", 680.0, low=0.0, doc="integral, Eq. (6)")
+    alpha_sm: Array = gain("n", "rad^0.5/s^2", 120.0, low=0.0, doc="super-twisting root, Eq. (7)")
+    alpha_sm0: Array = gain("n", "rad/s^3", 30.0, low=0.0, doc="super-twisting integral, Eq. (7)")
+    eps: Array = gain("n", "rad", 1e-3, above=0.0, doc="width of the smooth sgn of the innovation")
+    alpha_f1: Array = gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator rule, Eq. (9)")
+    alpha_f2: Array = gain(
         "n", "1", 1.0, low=0.0, high=1.0, doc="consequent of the sensor rule: the encoder's share of a jump"
     )
-    alpha_f3: Array = _gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator-and-sensor rule, Eq. (9)")
-    leak: Array = _gain("n", "1", 0.002, low=0.0, high=1.0, doc="l, forgetting of the fuzzy estimate per tick")
-    jump: Array = _gain("n", "rad", 1e-3, above=0.0, doc="jump that is surely the encoder's; graded 1/2 at half of it")
-    tau_centres: Array = _gain(
+    alpha_f3: Array = gain("n", "1/s^2", 1500.0, low=0.0, doc="consequent of the actuator-and-sensor rule, Eq. (9)")
+    leak: Array = gain("n", "1", 0.002, low=0.0, high=1.0, doc="l, forgetting of the fuzzy estimate per tick")
+    jump: Array = gain("n", "rad", 1e-3, above=0.0, doc="jump that is surely the encoder's; graded 1/2 at half of it")
+    tau_centres: Array = gain(
         "2", "1", (0.0, 1.0), doc="sets zero and at threshold of the size of residual_tau over alpha_tau"
     )
-    tau_widths: Array = _gain("2", "1", (0.25, 0.25), above=0.0, doc="their widths")
-    jump_centres: Array = _gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of a jump's size over jump")
-    jump_widths: Array = _gain("2", "1", (0.15, 0.15), above=0.0, doc="their widths")
+    tau_widths: Array = gain("2", "1", (0.25, 0.25), above=0.0, doc="their widths")
+    jump_centres: Array = gain("2", "1", (0.0, 1.0), doc="sets zero and at threshold of a jump's size over jump")
+    jump_widths: Array = gain("2", "1", (0.15, 0.15), above=0.0, doc="their widths")
 
 
-@_block
+@block
 class DiagnosisGains:
     """Blocks 5 to 7, Eqs. (14), (17), (18)."""
 
-    alpha_tau: Array = _gain("n", "N m", 2.0, above=0.0, doc="torque threshold")
-    alpha_q: Array = _gain("n", "rad", math.radians(1.0), above=0.0, doc="encoder threshold")
-    lead: Array = _gain("n", "1/s^2", 0.0, low=0.0, doc="weight of the innovation beside psi in the torque statistic")
-    lam_tau: Array = _gain("n", "1", 0.7, low=0.0, high=1.0, doc="w, weight of the residual against its leaky mean")
-    lam_q: Array = _gain("n", "1", 1.0, low=0.0, high=1.0, doc="the same weight in the encoder channel")
-    leak_tau: Array = _gain("n", "1", 0.1, above=0.0, high=1.0, doc="l, forgetting of that mean per tick")
-    leak_q: Array = _gain("n", "1", 0.1, above=0.0, high=1.0, doc="the same in the encoder channel")
+    alpha_tau: Array = gain("n", "N m", 2.0, above=0.0, doc="torque threshold")
+    alpha_q: Array = gain("n", "rad", math.radians(1.0), above=0.0, doc="encoder threshold")
+    lead: Array = gain("n", "1/s^2", 0.0, low=0.0, doc="weight of the innovation beside psi in the torque statistic")
+    lam_tau: Array = gain("n", "1", 0.7, low=0.0, high=1.0, doc="w, weight of the residual against its leaky mean")
+    lam_q: Array = gain("n", "1", 1.0, low=0.0, high=1.0, doc="the same weight in the encoder channel")
+    leak_tau: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="l, forgetting of that mean per tick")
+    leak_q: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="the same in the encoder channel")
 
 
-@_block
+@block
 class ControlGains:
     """Blocks 8, 9, Eqs. (19), (24), (30) to (33)."""
 
-    lam: Array = _gain("n", "1/s", 20.0, above=0.0, doc="slope of the sliding surface")
-    alpha_sm: Array = _gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of SMC")
-    alpha_sm2: Array = _gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of ESMC and AFESMC")
-    k_b: Array = _gain("n", "1/s", 0.0, low=0.0, doc="linear reaching term; the paper's K_beta, which only its proof has")
-    eps: Array = _gain("n", "rad/s", 0.5, above=0.0, doc="boundary layer of sgn(s)")
-    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0, doc="weight of measured against predicted speed")
-    q_centres: Array = _gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB")
-    q_widths: Array = _gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0, doc="their widths")
-    s_centres: Array = _gain("7", "rad/s", tuple(_S_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB of s")
-    s_widths: Array = _gain("7", "rad/s", (0.15 * _S_RANGE,) * 7, above=0.0, doc="their widths")
-    outputs: Array = _gain("3", "1", (0.5, 1.5, 2.5), low=0.0, high=3.0, doc="centres of PS, PM, PB")
-    floor: Array = _gain("n", "1", 0.1, above=0.0, doc="least alpha_online; as printed it can reach 0")
+    lam: Array = gain("n", "1/s", 20.0, above=0.0, doc="slope of the sliding surface")
+    alpha_sm: Array = gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of SMC")
+    alpha_sm2: Array = gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of ESMC and AFESMC")
+    k_b: Array = gain("n", "1/s", 0.0, low=0.0, doc="linear reaching term; the paper's K_beta, which only its proof has")
+    eps: Array = gain("n", "rad/s", 0.5, above=0.0, doc="boundary layer of sgn(s)")
+    speed_weight: Array = gain("n", "1", 0.15, above=0.0, high=1.0, doc="weight of measured against predicted speed")
+    q_centres: Array = gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB")
+    q_widths: Array = gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0, doc="their widths")
+    s_centres: Array = gain("7", "rad/s", tuple(_S_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB of s")
+    s_widths: Array = gain("7", "rad/s", (0.15 * _S_RANGE,) * 7, above=0.0, doc="their widths")
+    outputs: Array = gain("3", "1", (0.5, 1.5, 2.5), low=0.0, high=3.0, doc="centres of PS, PM, PB")
+    floor: Array = gain("n", "1", 0.1, above=0.0, doc="least alpha_online; as printed it can reach 0")
 
 
-@_block
+@block
 class BaselineGains:
     """The other schemes: computed torque, momentum observer, extended Kalman filter (jaxftc/baselines).
 
     A walk is the standard deviation that a random walk reaches in one second.
     """
 
-    kp: Array = _gain("n", "1/s^2", 625.0, low=0.0, doc="computed torque, on the angle's error")
-    kd: Array = _gain("n", "1/s", 50.0, low=0.0, doc="on the speed's error")
-    speed_weight: Array = _gain("n", "1", 0.15, above=0.0, high=1.0, doc="of the measured against the predicted speed")
-    rate: Array = _gain("n", "1/s", 120.0, above=0.0, doc="K_o of the momentum observer")
-    noise_y: Array = _gain("n", "rad", 3e-5, above=0.0, doc="EKF, standard deviation of a reading")
-    walk_qd: Array = _gain("n", "rad/s^1.5", 0.02, above=0.0, doc="EKF, of the speed: what the model does not know")
-    walk_psi: Array = _gain("n", "rad/s^2.5", 10.0, above=0.0, doc="EKF, of the actuator fault, as its joint's acceleration")
-    walk_b: Array = _gain("n", "rad/s^0.5", 3e-4, above=0.0, doc="EKF, of the encoder fault")
+    kp: Array = gain("n", "1/s^2", 625.0, low=0.0, doc="computed torque, on the angle's error")
+    kd: Array = gain("n", "1/s", 50.0, low=0.0, doc="on the speed's error")
+    speed_weight: Array = gain("n", "1", 0.15, above=0.0, high=1.0, doc="of the measured against the predicted speed")
+    rate: Array = gain("n", "1/s", 120.0, above=0.0, doc="K_o of the momentum observer")
+    noise_y: Array = gain("n", "rad", 3e-5, above=0.0, doc="EKF, standard deviation of a reading")
+    walk_qd: Array = gain("n", "rad/s^1.5", 0.02, above=0.0, doc="EKF, of the speed: what the model does not know")
+    walk_psi: Array = gain("n", "rad/s^2.5", 10.0, above=0.0, doc="EKF, of the actuator fault, as its joint's acceleration")
+    walk_b: Array = gain("n", "rad/s^0.5", 3e-4, above=0.0, doc="EKF, of the encoder fault")
 
 
 @jax.tree_util.register_dataclass
@@ -155,7 +166,8 @@ class Gains:
         observer: The cascade, blocks 2 to 4.
         diagnosis: Thresholds and statistics, blocks 5 to 7.
         control: The sliding-mode law and its fuzzy gain, blocks 8 and 9.
-        baseline: The other schemes.
+        baseline: The other schemes of the package, which one gains file serves.
+        own: Those of a scheme of the user's, if it has any.
     """
 
     arx: ArxGains
@@ -163,6 +175,7 @@ class Gains:
     diagnosis: DiagnosisGains
     control: ControlGains
     baseline: BaselineGains
+    own: Any = None
 
     def replace(self, changes: Mapping[str, ArrayLike]) -> Gains:
         """Gains with some of them changed: ``gains.replace({"control.lam": 30.0})``.
@@ -180,13 +193,14 @@ class Gains:
         Raises:
             ValueError: an unknown name, or a shape that the gain cannot take.
         """
-        blocks: dict[str, dict[str, Array]] = {}
+        found: dict[str, dict[str, Array]] = {}
+        known = {f"{block}.{name}": spec for block, name, spec in specs(self)}
         for path, value in changes.items():
-            checks.one_of("gain", path, NAMES)
+            checks.one_of("gain", path, tuple(known))
             block, name = path.split(".")
-            blocks.setdefault(block, {})[name] = _filled(path, value, getattr(getattr(self, block), name))
-        changed = {block: dataclasses.replace(getattr(self, block), **values) for block, values in blocks.items()}
-        return Gains(**{block: changed.get(block, getattr(self, block)) for block in BLOCKS})
+            found.setdefault(block, {})[name] = _filled(path, value, getattr(getattr(self, block), name), known[path])
+        changed = {block: dataclasses.replace(getattr(self, block), **values) for block, values in found.items()}
+        return dataclasses.replace(self, **changed)
 
 
 BLOCKS = {
@@ -200,15 +214,26 @@ NAMES = tuple(f"{block}.{field.name}" for block, cls in BLOCKS.items() for field
 INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
 
 
-def _spec(block: str, name: str) -> Spec:
-    return BLOCKS[block].__dataclass_fields__[name].metadata["spec"]
+def blocks(of: Config | Gains | None = None) -> dict[str, type]:
+    """Classes of the blocks, in order: with those of a config's scheme, or of gains, beside those that all have."""
+    own = None
+    if isinstance(of, Config):
+        own = variants.own_gains(of.scheme)
+    elif of is not None and of.own is not None:
+        own = type(of.own)
+    return BLOCKS if own is None else BLOCKS | {"own": own}
 
 
-def specs() -> Iterator[tuple[str, str, Spec]]:
-    """(block, name, spec) of every gain, in order."""
-    for block, cls in BLOCKS.items():
+def specs(of: Config | Gains | None = None) -> Iterator[tuple[str, str, Spec]]:
+    """(block, name, spec) of every gain, in order; see ``blocks``."""
+    for block, cls in blocks(of).items():
         for field in dataclasses.fields(cls):
             yield block, field.name, field.metadata["spec"]
+
+
+def names(of: Config | Gains | None = None) -> tuple[str, ...]:
+    """Block and name of every gain, in order; see ``blocks``."""
+    return tuple(f"{block}.{name}" for block, name, _ in specs(of))
 
 
 def shape_of(config: Config, spec: Spec) -> tuple[int, ...]:
@@ -219,19 +244,18 @@ def shape_of(config: Config, spec: Spec) -> tuple[int, ...]:
 
 def build(config: Config, values: dict[str, dict[str, Any]]) -> Gains:
     """Gains from nested plain values, in JAX's current float type."""
-    blocks = {
+    built = {
         block: cls(**{f.name: jnp.asarray(values[block][f.name], float) for f in dataclasses.fields(cls)})
-        for block, cls in BLOCKS.items()
+        for block, cls in blocks(config).items()
     }
-    gains = Gains(**blocks)
+    gains = Gains(**built)
     check(config, gains)
     return gains
 
 
-def _filled(path: str, value: ArrayLike, old: Array) -> Array:
+def _filled(path: str, value: ArrayLike, old: Array, spec: Spec) -> Array:
     """A new value of a gain in the shape [own axes, ...] and the dtype of the old one."""
-    block, name = path.split(".")
-    own = jnp.shape(old)[: len(_spec(block, name).axes)]
+    own = jnp.shape(old)[: len(spec.axes)]
     new = jnp.asarray(value, jnp.result_type(old))
     axes = new.shape[: len(own)]
     if new.ndim and (len(axes) < len(own) or any(a not in (1, b) for a, b in zip(axes, own, strict=True))):
@@ -243,16 +267,16 @@ def _filled(path: str, value: ArrayLike, old: Array) -> Array:
 
 def align(gains: Gains, axes: int) -> Gains:
     """Give every leaf the singleton scenario axes it lacks, so that blocks simply broadcast."""
-    blocks = {
+    aligned = {
         block: cls(
             **{
                 f.name: trailing(getattr(getattr(gains, block), f.name), len(f.metadata["spec"].axes), axes)
                 for f in dataclasses.fields(cls)
             }
         )
-        for block, cls in BLOCKS.items()
+        for block, cls in blocks(gains).items()
     }
-    return Gains(**blocks)
+    return Gains(**aligned)
 
 
 def check(config: Config, gains: Gains) -> None:
@@ -263,7 +287,13 @@ def check(config: Config, gains: Gains) -> None:
     """
     checks.instance("config", config, Config)
     checks.instance("gains", gains, Gains)
-    for block, name, spec in specs():
+    own = blocks(config).get("own")
+    if own is not None and not isinstance(gains.own, own):
+        raise ValueError(
+            f"gains.own must be those of scheme {config.scheme!r}, got {type(gains.own).__name__}; default_gains(config) "
+            "has them"
+        )
+    for block, name, spec in specs(config):
         leaf, path = getattr(getattr(gains, block), name), f"{block}.{name}"
         shape = shape_of(config, spec)
         if jnp.shape(leaf)[: len(shape)] != shape:

@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 
 from jaxftc.config import Config
-from jaxftc.gains import BLOCKS, Gains, Spec, build, specs
+from jaxftc.gains import Gains, Spec, blocks, build, specs
 from jaxftc.io.files import write_text
 from jaxftc.io.toml import read_toml
 from jaxftc.version import __version__
@@ -19,7 +19,9 @@ from jaxftc.version import __version__
 def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
     """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds what they belong to."""
     table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else header(config))}
-    for block, name, spec in specs():
+    if config is not None and gains.own is not None:
+        table["made_with"]["scheme"] = config.scheme
+    for block, name, spec in specs(gains):
         value = np.asarray(getattr(getattr(gains, block), name))
         value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
         table.setdefault(block, {})[name] = {"unit": spec.unit, "value": value}
@@ -39,6 +41,8 @@ def load_gains(path: str | Path, config: Config) -> Gains:
             f"{path}: {strays[0]!r} must be a table of gains, got {table[strays[0]]!r}; write it with save_gains"
         )
     made_with = table.pop("made_with", {})
+    if made_with.get("scheme", config.scheme) != config.scheme:
+        table.pop("own", None)  # another scheme's; all else in the file serves every scheme
     ours = header(config)
     other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
     if other:
@@ -48,8 +52,8 @@ def load_gains(path: str | Path, config: Config) -> Gains:
         raise ValueError(
             f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with{hint}"
         )
-    known = {(block, name): spec for block, name, spec in specs()}
-    values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
+    known = {(block, name): spec for block, name, spec in specs(config)}
+    values: dict[str, dict[str, Any]] = {block: {} for block in blocks(config)}
     for block, entries in table.items():
         for name, entry in entries.items():
             value = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)

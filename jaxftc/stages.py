@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 
+from jaxftc import variants
 from jaxftc.config import Config
 from jaxftc.types import Array
 
@@ -40,14 +41,19 @@ def of(config: Config) -> Stages:
     )
 
 
+def staged(config: Config) -> bool:
+    """Whether the config's scheme has these stages."""
+    return getattr(variants.load(config.scheme), "STAGED", False)
+
+
 def as_data(config: Config) -> Stages | None:
     """The same as arrays, for a program that serves every observer and controller; None for a scheme without stages."""
-    return Stages(*map(jnp.asarray, of(config))) if config.scheme == "cascade" else None
+    return Stages(*map(jnp.asarray, of(config))) if staged(config) else None
 
 
 def general(config: Config) -> Config:
     """The config that such a program is compiled for: the same whatever the observer and the controller."""
-    return dataclasses.replace(config, observer="ts", control="afesmc") if config.scheme == "cascade" else config
+    return dataclasses.replace(config, observer="ts", control="afesmc") if staged(config) else config
 
 
 def either(flag: Flag, yes: T, no: T) -> T:

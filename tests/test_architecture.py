@@ -115,7 +115,7 @@ def test_arrows_between_rooms_go_down():
 
 def test_the_tick_reaches_neither_plant_nor_faults():
     """The wall, by imports: what runs on a robot cannot name a scenario, a fault or the closed loop."""
-    for name in [name for name in OURS if within(name, "schemes")]:
+    for name in [name for name in OURS if within(name, "schemes", "realtime")]:
         wrong = {module for module in reachable(name) if within(module, "scenarios", "simulation", "evaluation", "logs")}
         assert not wrong, f"{name} reaches {sorted(wrong)}"
 
@@ -152,7 +152,9 @@ def test_no_cycle_of_imports():
 @pytest.mark.parametrize("package", [jaxftc, tuning], ids=lambda package: package.__name__)
 def test_type_checkers_and_python_see_the_same_public_names(package):
     name, version = package.__name__, {("__version__", "jaxftc.version")} if package is jaxftc else set()
-    modules = {("metrics", "jaxftc.evaluation")} | {(room, "jaxftc") for room in ("identify", "logs", "observer")}
+    modules = {("metrics", "jaxftc.evaluation")} | {
+        (room, "jaxftc") for room in ("faults", "identify", "logs", "observer", "realtime")
+    }
     modules = modules if package is jaxftc else set()
     stub = ast.parse((ROOT / name / "__init__.pyi").read_text())
     nodes = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
@@ -236,3 +238,16 @@ def test_no_controller_depends_on_settings_of_the_simulation(room):
         if isinstance(node, ast.Attribute) and node.attr in {"engine", "t_final", "duration", "ticks"}
     }
     assert not read
+
+
+def test_nobody_asks_which_scheme_it_has():
+    """What differs from scheme to scheme, the scheme says."""
+    asked = {
+        f"{name}:{node.lineno}"
+        for name, path in MODULES.items()
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Compare)
+        and any(isinstance(part, ast.Attribute) and part.attr == "scheme" for part in (node.left, *node.comparators))
+        and any(isinstance(part, ast.Constant) for part in (node.left, *node.comparators))
+    }
+    assert not asked

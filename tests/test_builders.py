@@ -119,7 +119,7 @@ def test_sizes_may_be_traced(healthy):
         (lambda s: s.with_frozen_encoder(1, 0.2, period=0.0), "period must be positive, got 0.0"),
         (lambda s: s.with_frozen_encoder(1, 0.2, raise_=1.0), "did you mean 'rise'"),
         (lambda s: s.with_encoder_bias(1, np.ones(2), 0.2), r"magnitude must be a number or have shape \[\], got \[2\]"),
-        (lambda s: trail(stacked(s, 2)).with_frozen_encoder(1, 0.2), "or to a set with a leading axis, got q_start of"),
+        (lambda s: trail(stacked(s, 2)).with_frozen_encoder(1, 0.2), "or to a set with a leading axis, got fault_q of"),
     ],
 )
 def test_what_cannot_be_is_refused(healthy, call, text):

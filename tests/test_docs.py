@@ -61,6 +61,12 @@ def lines(page: str) -> list[str]:
     return [part.strip() for line in printed for part in line.split("&&") if part.strip()]
 
 
+def own_files(page: str, folder: Path) -> None:
+    """The files that a page tells its reader to save."""
+    for name in re.findall(r"^```\{literalinclude\} (schemes/\S+)$", PAGES[page], re.MULTILINE):
+        (folder / Path(name).name).write_text((DOCS / name).read_text())
+
+
 def python(page: str) -> list[tuple[str, str | None]]:
     """The Python blocks of a page, each with the output that the page prints right behind it."""
     found = [*blocks(page), Block("", "")]
@@ -91,6 +97,7 @@ def run(request):
 
 def run_python(run, folder: Path, page: str) -> str:
     """Run the Python blocks of a page in one process; what each prints must be what the page says."""
+    own_files(page, folder)
     end = "-- end of block --"
     source = f"\nprint({end!r})\n".join(text for text, _ in python(page))
     (folder / "page.py").write_text(source)
@@ -169,6 +176,7 @@ def test_every_printed_command_is_one_of_ours_or_said_not_to_run():
 @pytest.mark.parametrize("page", [page for page in PAGES if any(line in COMMANDS for line in lines(page))])
 def test_commands_run(page, run, tmp_path):
     """One after the other in one folder, as the page has them, with less to do each."""
+    own_files(page, tmp_path)
     if page == "own-arm.md":
         run_python(run, tmp_path, page)  # it writes the robot file
     done = set()

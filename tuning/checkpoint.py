@@ -36,10 +36,9 @@ def identity(
 ) -> dict[str, Any]:
     """What must be the same for a run to go on to the same result; the code of a user's own terms is not looked at."""
     config = problem.config
-    structure = {f.name: getattr(config, f.name) for f in dataclasses.fields(config) if f.name != "robot"}
     return {
         "version": __version__,
-        "config": header(config) | structure,
+        "config": header(config) | config.record,
         "settings": {field.name: _plain(field.name, settings) for field in dataclasses.fields(settings)},
         "limits": dict(limits),
         "free gains": [[f"{leaf.block}.{leaf.name}", list(leaf.shape)] for leaf in space.leaves],

@@ -43,6 +43,8 @@ class Tune(common.Options):
     """Seed of the scenarios, their noise and the search."""
     preset: str = "standard"
     """Laws that the training scenarios are drawn from: standard, hard, doubles, paper, or your own TOML file."""
+    scheme: str = "cascade"
+    """What diagnoses and controls: cascade, momentum, ekf, computed_torque, or your own, module:object."""
     observer: Literal["pi", "eso", "ts"] = "ts"
     """PI, with super-twisting, with Takagi-Sugeno."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
@@ -73,6 +75,7 @@ class Tune(common.Options):
 
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
         from jaxftc.cli import record
+        from jaxftc.stages import staged
         from tuning import checkpoint, report, terms, transform
         from tuning.held_out import compare
         from tuning.loop import fit
@@ -83,9 +86,11 @@ class Tune(common.Options):
         terms.check_terms("limit", objective, limits)
         checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
+        common.look_here_for(self.scheme)
         config = Config(
             common.load_arm(self),
             engine=self.engine,
+            scheme=self.scheme,
             observer=self.observer,
             control=self.control,
             rules=self.rules,
@@ -135,7 +140,7 @@ class Tune(common.Options):
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
         arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else shlex.join(common.arm_words(self))
         words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
-        if self.rules == "printed":
+        if self.rules == "printed" and staged(config):  # what the command has options for
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
             common.say(self, f"See them at work: {' '.join(filter(None, words))}")
         if self.json:

@@ -23,6 +23,7 @@ from jaxftc.scenarios.scenario import Scenario, take, trail
 from jaxftc.simulation.closed_loop import program_kind, run_loop
 from jaxftc.stages import Stages
 from jaxftc.types import Array
+from jaxftc.variants import SCHEMES
 from tuning import terms as built_in
 from tuning.terms import Run, Term
 from tuning.transform import Free, Layout, Space, gains_of, gather, spread
@@ -50,7 +51,8 @@ class Problem:
         self._traced = stages.general(config) if built else config
         self.kind = self._traced, tuple(self.objective.items()), batch
         self.program_kind: Kind = program_kind(config.engine)
-        self.cached_as = _cached_as(*self.kind) if built else None
+        # Programs are kept between processes where their names tell all of their code: a user's is not looked at.
+        self.cached_as = _cached_as(*self.kind) if built and config.scheme in SCHEMES else None
         scores = over_scenarios(lambda given, split: self.terms(given[0], given[1], given[2], split), batch)
         self._scores = shared(
             ("scores", *self.kind), lambda: jit(scores, kind=self.program_kind, cached_as=self.cached_as, like=0)

@@ -118,7 +118,7 @@ def loss_figure(result: Result) -> go.Figure:
 def moved(before: Gains, after: Gains) -> list[str]:
     """A line of text for each gain that moved: name, old and new values, unit."""
     lines = []
-    for block, name, spec in specs():
+    for block, name, spec in specs(before):
         old, new = (np.asarray(getattr(getattr(gains, block), name), float).ravel() for gains in (before, after))
         if not np.array_equal(old, new):
             lines.append(f"  {f'{block}.{name}':24} {_values(old)} -> {_values(new)}  {spec.unit}")
@@ -137,7 +137,7 @@ def _values(values: np.ndarray) -> str:
 def gains_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
     """Each gain over its starting value, joint by joint, on a logarithmic axis; hover for the values and the unit."""
     names, factors, texts, colours = [], [], [], []
-    for block, name, spec in specs():
+    for block, name, spec in specs(before):
         path = f"{block}.{name}"
         b, a = (np.asarray(getattr(getattr(g, block), name), float) for g in (before, after))
         if path in idle(config) or np.array_equal(a, b):

@@ -27,7 +27,7 @@ import numpy as np
 from jaxftc import checks, stages
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.gains import BLOCKS, INCREASING, NAMES, Gains, Spec, shape_of, specs
+from jaxftc.gains import INCREASING, Gains, Spec, blocks, names, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import arx
 from jaxftc.observer.readout import exact
@@ -43,12 +43,12 @@ POLES = "arx.xi_a"
 
 def idle(config: Config) -> set[str]:
     """Gains that a config does not use, so that changing them does nothing."""
-    return set(NAMES) - scheme(config).gains_used(config)
+    return set(names(config)) - scheme(config).gains_used(config)
 
 
 def tunable(config: Config) -> tuple[str, ...]:
     """Names of all gains that can be tuned with a config, in order."""
-    every = [f"{block}.{name}" for block, name, _ in specs() if block != "arx" or f"{block}.{name}" == POLES]
+    every = [f"{block}.{name}" for block, name, _ in specs(config) if block != "arx" or f"{block}.{name}" == POLES]
     poles_follow = config.input == "rigid_body"
     return tuple(name for name in every if name not in idle(config) and (name != POLES or poles_follow))
 
@@ -69,18 +69,18 @@ def select(config: Config, only: Iterable[str] = (), freeze: Iterable[str] = ())
     return tuple(name for name in allowed if name in left)
 
 
-def _expand(config: Config, names: Iterable[str]) -> set[str]:
+def _expand(config: Config, words: Iterable[str]) -> set[str]:
     allowed, unused = tunable(config), idle(config)
     found: set[str] = set()
-    for name in names:
+    for name in words:
         if name in unused:
             used = f"observer {config.observer!r} and control {config.control!r}"
             raise ValueError(
-                f"gain {name!r} does nothing with {used if config.scheme == 'cascade' else f'scheme {config.scheme!r}'}"
+                f"gain {name!r} does nothing with {used if stages.staged(config) else f'scheme {config.scheme!r}'}"
             )
         members = {gain for gain in allowed if gain.split(".")[0] == name}
         if not members:
-            checks.one_of("gain", name, (*allowed, *BLOCKS))
+            checks.one_of("gain", name, (*allowed, *blocks(config)))
         found |= members or {name}
     return found
 
@@ -140,8 +140,8 @@ def gains_of(layout: Layout, free: Free, moves: Array, widen: Array | float = 1.
     """
     move = functools.partial(_moved, layout, free)
     moved = move(moves) if moves.ndim == 1 else jax.vmap(move, in_axes=1, out_axes=-1)(moves)
-    blocks = {block: dataclasses.replace(getattr(free.start, block), **moved.get(block, {})) for block in BLOCKS}
-    return widened(Gains(**blocks), widen)
+    changed = {block: dataclasses.replace(getattr(free.start, block), **values) for block, values in moved.items()}
+    return widened(dataclasses.replace(free.start, **changed), widen)
 
 
 def _moved(layout: Layout, free: Free, moves: Array) -> dict[str, dict[str, Array]]:
@@ -213,7 +213,7 @@ def space(config: Config, start: Gains, free: Iterable[str], shared: Iterable[st
     """
     check_gains(config, start)
     free, shared = select(config, free), _expand(config, shared)
-    if any(leaf.ndim != len(spec.axes) for (_, _, spec), leaf in zip(specs(), jax.tree.leaves(start), strict=True)):
+    if any(leaf.ndim != len(spec.axes) for (_, _, spec), leaf in zip(specs(start), jax.tree.leaves(start), strict=True)):
         raise ValueError("tuning starts from one set of gains; these have scenario axes of their own")
     if POLES in free and not np.array_equal(start.arx.xi_a, start.arx.xi_b):
         raise ValueError(f"{POLES} can be tuned where both banks have the same pole, got arx.xi_a and arx.xi_b that differ")
@@ -240,7 +240,7 @@ def layout_of(config: Config, *, poles: bool) -> Layout:
     config = stages.general(config)
     unused = idle(config) - {"control.alpha_sm"}
     leaves, size = [], 0
-    for block, name, spec in specs():
+    for block, name, spec in specs(config):
         path = f"{block}.{name}"
         if poles if path == POLES else block != "arx" and path not in unused:
             shape = shape_of(config, spec)

@@ -27,6 +27,7 @@ from jaxftc.scenarios.sample import draw_all
 from jaxftc.scenarios.scenario import Scenario, take, trail
 from jaxftc.simulation.closed_loop import Trace, blank_trace, check, program_kind, watch
 from jaxftc.types import Array
+from jaxftc.variants import SCHEMES
 
 LANES = {"cpu": 256}  # scenarios side by side: enough to fill a core's vector units, few enough for its caches
 MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at a time
@@ -120,7 +121,8 @@ def _program(config: Config) -> Callable[[Array, stages.Stages | None, Gains, Sc
         return last.score, trace
 
     like = online.Score(*[0] * len(online.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
-    run = jit(block, kind=program_kind(config.engine), cached_as=repr(config), like=like)
+    known = repr(config) if config.scheme in SCHEMES else None  # the code of a user's scheme is not in a program's name
+    run = jit(block, kind=program_kind(config.engine), cached_as=known, like=like)
     return lambda key, on, gains, scenarios: run(key, on, gains, trail(scenarios))
 
 

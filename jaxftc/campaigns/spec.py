@@ -25,7 +25,7 @@ from jaxftc.scenarios.preset_file import as_dict, load_preset
 from jaxftc.schemes.registry import scheme
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array
-from jaxftc.variants import variants
+from jaxftc.variants import changes
 from jaxftc.version import __version__
 
 CHUNK = 4096  # rows of a file
@@ -59,8 +59,12 @@ class Progress(NamedTuple):
 
 
 def variant(base: Config, name: str) -> Config:
-    """The config of a scheme, or of another of the variants that have a name."""
-    return dataclasses.replace(base, **variants()[name])  # pyright: ignore[reportArgumentType]
+    """The config of a scheme, or of another of the variants that have a name.
+
+    Raises:
+        ValueError: neither a variant nor a scheme of the user's has that name.
+    """
+    return dataclasses.replace(base, **changes(name))  # pyright: ignore[reportArgumentType]
 
 
 def complete(
@@ -186,10 +190,8 @@ def versions() -> dict[str, str]:
 
 def describe(config: Config) -> dict[str, Any]:
     """A config for the manifest: the robot by its fingerprint, nothing unset."""
-    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config) if field.name != "robot"}
-    return {"robot_fingerprint": config.robot.fingerprint} | {
-        name: value for name, value in fields.items() if value is not None
-    }
+    found = {name: value for name, value in config.record.items() if value is not None}
+    return {"robot_fingerprint": config.robot.fingerprint} | found
 
 
 def load(folder: Path, base: Config) -> Job:
@@ -200,7 +202,8 @@ def load(folder: Path, base: Config) -> Job:
     """
     store.unaltered(folder)
     manifest = store.read_manifest(folder)
-    config = variant(base, manifest["request"]["scheme"])
+    name = store.scheme_of(manifest)
+    config = variant(base, name)
     ours, theirs = describe(config), manifest["config"]
     other = [
         f"{name} {theirs.get(name)!r}, here {ours.get(name)!r}"
@@ -210,7 +213,7 @@ def load(folder: Path, base: Config) -> Job:
     if other:
         raise ValueError(f"{folder} was run with another {'; another '.join(other)}")
     gains, preset = load_gains(folder / store.GAINS, config), load_preset(folder / store.PRESET)
-    return Job(config, gains, preset, manifest["request"]["seed"], manifest["request"]["scheme"])
+    return Job(config, gains, preset, manifest["request"]["seed"], name)
 
 
 def worst(job: Job, rows: Mapping[str, np.ndarray], count: int) -> list[tuple[dict[str, Any], Trace]]:

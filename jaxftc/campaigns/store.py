@@ -62,6 +62,12 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     return read_toml(path, "campaign")
 
 
+def scheme_of(manifest: dict[str, Any]) -> str:
+    """Name of the scheme that ran; of one of the user's the request has a digest of its source, too."""
+    value = manifest["request"]["scheme"]
+    return value[0] if isinstance(value, list) else value
+
+
 def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
     """Written last, after the checksums of what rows depend on."""
     text = tomli_w.dumps(manifest)

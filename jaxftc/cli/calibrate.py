@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxftc.cli import common
-from jaxftc.cli.campaign import Laws, SchemeName
+from jaxftc.cli.campaign import Laws
 
 if TYPE_CHECKING:
     from jaxftc.campaigns.calibrate import Calibration
@@ -22,7 +22,7 @@ class Calibrate(Laws):
     The runs are simulated, on motions and arms of the preset, or cut from recorded logs of the healthy arm.
     """
 
-    scheme: SchemeName = "cascade"
+    scheme: str = "cascade"
     """What diagnoses and controls, as in jaxftc campaign."""
     false_alarms: float = 0.01
     """Share of healthy runs that may raise an alarm."""
@@ -52,6 +52,7 @@ class Calibrate(Laws):
         from jaxftc.logs import read
         from jaxftc.schemes.registry import scheme
 
+        common.look_here_for(self.scheme)
         base = self.base()
         if not scheme(variant(base, self.scheme)).DIAGNOSES:
             raise ValueError(

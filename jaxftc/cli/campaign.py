@@ -11,16 +11,10 @@ import tyro
 
 from jaxftc.cli import common
 from jaxftc.io.files import write_text
-from jaxftc.variants import variants
 
 if TYPE_CHECKING:
     from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
-
-if TYPE_CHECKING:
-    SchemeName = str
-else:  # the table of variants is the list of allowed words
-    SchemeName = Literal[tuple(variants())]
 
 
 @dataclasses.dataclass
@@ -52,6 +46,7 @@ class Laws(common.Options):
         from jaxftc.scenarios.sample import check_arm
 
         common.key(self)  # the seed's range
+        common.look_here_for(scheme)
         config = variant(base, scheme)
         preset = load_preset(self.preset)
         check_arm(preset, config, self.preset)
@@ -73,9 +68,9 @@ class Campaign(Laws):
 
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 1000
     """Number of scenarios."""
-    scheme: SchemeName = "cascade"
-    """What diagnoses and controls: the cascade (T-S observer, AFESMC), the cascade with another observer or controller, or a
-    baseline."""
+    scheme: str = "cascade"
+    """What diagnoses and controls: cascade (T-S observer, AFESMC); the cascade with another observer or controller, pi, eso,
+    eso_printed, smc or esmc; a baseline, momentum, ekf or computed_torque; or your own, module:object."""
     compare: str | None = None
     """Several schemes on the same scenarios instead, by their names with commas: cascade,momentum,ekf."""
     false_alarms: float | None = None
@@ -109,7 +104,7 @@ class Campaign(Laws):
         with common.folder(self, "campaign", goes_on=True) as folder:
             if self.out is None:
                 common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
-            folders = {name: folder / name if self.compare else folder for name in names}
+            folders = {name: folder / name.replace(":", ".") if self.compare else folder for name in names}
             requests = {name: self._request(job, name, share) for name, job in jobs.items()}
             if self.force:
                 for own in (folder, *(path.parent for path in folder.glob(f"*/{store.MANIFEST}"))):
@@ -137,13 +132,9 @@ class Campaign(Laws):
 
     def _names(self) -> list[str]:
         """Schemes to run, the one that the others are held against first."""
-        from jaxftc import checks
-
         if self.compare is None:
             return [self.scheme]
         names = [name.strip() for name in self.compare.split(",")]
-        for name in names:
-            checks.one_of("--compare", name, tuple(variants()))
         if len(set(names)) < max(len(names), 2):
             raise ValueError(f"--compare takes two or more different schemes with commas, got {self.compare!r}")
         return names
@@ -157,7 +148,7 @@ class Campaign(Laws):
             raise ValueError(f"{folder} holds the campaign of one scheme; give another --out to --compare")
         if not self.compare and inside:
             raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; give another --out")
-        if set(inside) - set(folders):
+        if set(inside) - {own.name for own in folders.values()}:
             raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; name them all, or another --out")
         for name, own in folders.items():
             if (own / store.MANIFEST).exists():
@@ -177,7 +168,7 @@ class Campaign(Laws):
         from jaxftc.report import campaign
         from jaxftc.schemes.registry import scheme
 
-        name, note = request["scheme"], lambda text: common.say(self, text)
+        name, note = job.scheme, lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
             job, manifest = begin(folder, job, request, share, bar.update, note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
@@ -206,7 +197,9 @@ class Campaign(Laws):
         from jaxftc.scenarios.preset_file import as_dict
 
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
-        request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
+        source = job.config.record.get("scheme_source")
+        scheme = name if source is None else [name, source]
+        request: dict[str, Any] = {"scheme": scheme, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
         request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         request |= {} if self.tip is None else {"tip": self.tip}
         request |= {"lock": list(self.lock)} if self.lock else {}

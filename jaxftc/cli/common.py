@@ -16,6 +16,7 @@ import tyro
 
 from jaxftc.io.files import digest, write_text
 from jaxftc.io.folder import taken
+from jaxftc.variants import variants
 
 if TYPE_CHECKING:
     from jaxftc.config import Config
@@ -106,6 +107,12 @@ def prepare(options: Output, *, many: bool = False, devices: bool = False, engin
         if compiled is not None:
             jax.config.update("jax_compilation_cache_dir", str(compiled))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
+def look_here_for(scheme: str) -> None:
+    """Let Python find a scheme of the user's in the folder that the command is given in, after all other places."""
+    if scheme not in variants() and "" not in sys.path:
+        sys.path.append("")
 
 
 def key(options: Options) -> Any:

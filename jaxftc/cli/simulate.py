@@ -137,13 +137,15 @@ class Simulate(common.Options):
             )
         if not 0 <= self.id < 2**31:
             raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
-        asked = store.read_manifest(self.campaign)["request"]
+        manifest = store.read_manifest(self.campaign)
+        asked, name = manifest["request"], store.scheme_of(manifest)
         arm = {"robot": asked["robot"], "tip": asked.get("tip"), "lock": tuple(asked.get("lock", ()))}
         options = dataclasses.replace(self, **arm, coulomb=asked["coulomb"] and asked["robot"] == "puma560")
+        common.look_here_for(name)
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
         stored = store.read_rows(self.campaign, self.id + 1, first=self.id)
-        title = f"scenario {self.id} of {self.campaign}, scheme {asked['scheme']}"
+        title = f"scenario {self.id} of {self.campaign}, scheme {name}"
         return functools.partial(replayed, job, self.id, stored, title)
 
 

@@ -72,7 +72,7 @@ def smooth_radius(config: Config, gains: Gains, fuzzy: Flag | None = None) -> Ar
     Gains with one trailing scenario axis give [n, scenarios]. ``fuzzy`` says by data whether the fuzzy stage runs.
     """
     leaves, tree = jax.tree.flatten(gains)
-    own = [len(spec.axes) for _, _, spec in specs()]
+    own = [len(spec.axes) for _, _, spec in specs(gains)]
     swept = [-1 if leaf.ndim > rank else None for leaf, rank in zip(leaves, own, strict=True)]
     if any(axis is not None for axis in swept):
         along = jax.vmap(

@@ -129,11 +129,11 @@ def _with(
     onset: ArrayLike,
     law: Law,
 ) -> Any:
-    axes, shape = np.shape(scenario.id), np.shape(scenario.q_start)
+    axes, shape = np.shape(scenario.id), np.shape(getattr(scenario, channel).onset)
     if shape[:-1] != axes:
         raise ValueError(
             "faults are given to one scenario or to a set with a leading axis, "
-            f"got q_start of shape {list(shape)} and id of shape {list(axes)}"
+            f"got {channel} of shape {list(shape)} and id of shape {list(axes)}"
         )
     checks.integer("joint", joint, 1, f"joints count from 1 to {shape[-1]}")
     if joint > shape[-1]:

@@ -25,7 +25,7 @@ from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
 
-DIAGNOSES = True
+DIAGNOSES, STAGED = True, True
 
 
 class State(NamedTuple):
@@ -48,6 +48,11 @@ class State(NamedTuple):
     def unread(self) -> Array:
         """Ticks [n, ...] since a reading was last used."""
         return jnp.maximum(self.observer.unread, 0.0)
+
+    @property
+    def tau(self) -> Array:
+        """Last command [n, ...] N m, before the limits."""
+        return self.command.tau
 
 
 class Applied(NamedTuple):

@@ -17,9 +17,9 @@ from jaxftc.config import Config
 from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
-from jaxftc.numerics import smooth
 from jaxftc.numerics.box import box
-from jaxftc.robot import dynamics, lanes, reach, rigid_body
+from jaxftc.robot import dynamics, reach, rigid_body
+from jaxftc.schemes.output import output
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = False
@@ -52,6 +52,11 @@ class State(NamedTuple):
         """Ticks [n, ...] since there was a reading."""
         return self.motion.unread
 
+    @property
+    def tau(self) -> Array:
+        """Last command [n, ...] N m, before the limits."""
+        return self.command.tau
+
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
@@ -71,8 +76,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     motion = follow(config, gains, state.motion, qdd, measurement.q)
     zero = jnp.zeros_like(motion.q)
     command = law(config, gains, motion.q, motion.qd, reference, zero)
-    never = jnp.full_like(zero, jnp.inf)
-    return State(motion, command), report(config, command, motion.q, motion.qd, threshold_tau=never, threshold_q=never)
+    return State(motion, command), output(config, command.tau, motion.q, motion.qd)
 
 
 def rest(q: Array) -> Motion:
@@ -108,39 +112,3 @@ def law(config: Config, gains: Gains, q: Array, qd: Array, reference: Reference,
     friction = dynamics.coulomb(robot, reference.qd)  # at the wanted speed, see cascade.py
     tau = dynamics.nominal_torque(robot, at, qd, qdd) + friction - fault
     return LastCommand(tau, qdd, dynamics.nominal_mass(robot, at).packed(q))
-
-
-def report(
-    config: Config,
-    command: LastCommand,
-    q: Array,
-    qd: Array,
-    *,
-    threshold_tau: Array,
-    threshold_q: Array,
-    fault_tau: Array | None = None,
-    fault_q: Array | None = None,
-    verdict: Array | None = None,
-) -> Output:
-    """What a baseline says: estimates are residuals and statistics at once; where there is none it is zero."""
-    zero = jnp.zeros_like(q)
-    fault_tau, fault_q = (zero if fault is None else fault for fault in (fault_tau, fault_q))
-    verdict = jnp.zeros(q.shape, jnp.int32) if verdict is None else verdict
-    return Output(
-        tau=smooth.saturate(command.tau, lanes.trailing_constant(config.robot.torque_limit, q)),
-        fault_tau_hat=fault_tau,
-        fault_q_hat=fault_q,
-        residual_tau=fault_tau,
-        residual_q=fault_q,
-        statistic_tau=fault_tau,
-        statistic_q=fault_q,
-        threshold_tau=jnp.broadcast_to(threshold_tau, q.shape),
-        threshold_q=jnp.broadcast_to(threshold_q, q.shape),
-        verdict=verdict,
-        detected=(verdict > 0).any(0),
-        suspect=zero,
-        q_hat=q,
-        qd_hat=qd,
-        s=zero,
-        alpha_online=jnp.ones_like(q),
-    )

@@ -26,7 +26,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxftc.config import Config
-from jaxftc.gains import BLOCKS, Gains, build, shape_of, specs
+from jaxftc.gains import Gains, blocks, build, shape_of, specs
 from jaxftc.observer.readout import exact
 from jaxftc.robot import dynamics, rigid_body
 
@@ -50,8 +50,8 @@ def default_gains(config: Config, *, noise: ArrayLike | None = None, resolution:
         ValueError: noise or resolution is negative or not finite.
     """
     pace, sigma = _pace(config, _sigma(config, noise, resolution))
-    values: dict[str, dict[str, Any]] = {block: {} for block in BLOCKS}
-    for block, name, spec in specs():
+    values: dict[str, dict[str, Any]] = {block: {} for block in blocks(config)}
+    for block, name, spec in specs(config):
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
     for path, factor in _factors(config, values, pace, sigma).items():

@@ -31,6 +31,7 @@ from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque
+from jaxftc.schemes.output import output
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = True
@@ -62,6 +63,11 @@ class State(NamedTuple):
         """Angle [n, ...] rad."""
         return parts(self.belief.mean)[0]
 
+    @property
+    def tau(self) -> Array:
+        """Last command [n, ...] N m, before the limits."""
+        return self.command.tau
+
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
@@ -91,9 +97,9 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
 
     own, alarms = alarm.step(config, gains, state.alarm, Statistics(fault_tau, fault_q))
-    output = computed_torque.report(
+    said = output(
         config,
-        command,
+        command.tau,
         q,
         qd,
         threshold_tau=gains.diagnosis.alpha_tau,
@@ -103,7 +109,7 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
         verdict=decision.verdict(alarms.tau, alarms.q),
     )
     unread = jnp.where(jnp.isfinite(used), 0.0, state.unread + 1)
-    return State(belief, unread, last, leaps, own, command), output
+    return State(belief, unread, last, leaps, own, command), said
 
 
 def at_rest(gains: BaselineGains, q: Array) -> Belief:

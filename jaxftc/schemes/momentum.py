@@ -34,6 +34,7 @@ from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import computed_torque
 from jaxftc.schemes.computed_torque import Motion
+from jaxftc.schemes.output import output
 from jaxftc.types import Array, Measurement, Output, Reference
 
 DIAGNOSES = True
@@ -65,6 +66,11 @@ class State(NamedTuple):
         """Ticks [n, ...] since there was a reading."""
         return self.motion.unread
 
+    @property
+    def tau(self) -> Array:
+        """Last command [n, ...] N m, before the limits."""
+        return self.command.tau
+
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
@@ -91,17 +97,16 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     observer = observe(gains.baseline, state.observer, now, measurement.tau, config.dt)
     own, alarms = alarm.step(config, gains, state.alarm, Statistics(observer.r, jnp.zeros_like(observer.r)))
     command = computed_torque.law(config, gains, motion.q, motion.qd, reference, observer.r)
-    output = computed_torque.report(
+    said = output(
         config,
-        command,
+        command.tau,
         motion.q,
         motion.qd,
         threshold_tau=gains.diagnosis.alpha_tau,
-        threshold_q=jnp.full_like(motion.q, jnp.inf),
         fault_tau=observer.r,
         verdict=decision.verdict(alarms.tau, alarms.q),
     )
-    return State(motion, observer, own, command), output
+    return State(motion, observer, own, command), said
 
 
 @box("Momentum and its drift")

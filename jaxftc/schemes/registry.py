@@ -7,13 +7,12 @@ has the table of schemes and what each must have.
 from __future__ import annotations
 
 import functools
-from importlib import import_module
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxftc import checks
+from jaxftc import checks, variants
 from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
@@ -23,14 +22,13 @@ from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
 from jaxftc.types import Array, Measurement, Output, Reference, Verdict
-from jaxftc.variants import SCHEMES
 
 LARGEST = 1e12  # of any number in a state: a tick makes no larger one, and overflows float32 on none below
 
 
 def scheme(config: Config) -> Any:
-    """The module of a config's scheme."""
-    return import_module(SCHEMES[config.scheme])
+    """The module or object of a config's scheme."""
+    return variants.load(config.scheme)
 
 
 def init(config: Config, gains: Gains, q: Array) -> Any:
@@ -130,7 +128,7 @@ def _possible(config: Config, state: Any, reference: Reference, measurement: Mea
     side = jnp.where(measurement.q >= at, jnp.inf, jnp.where(measurement.q < at, -jnp.inf, jnp.nan))
     reading = jnp.where(there, measurement.q, side)
     limit = lanes.trailing_constant(config.robot.torque_limit, at)
-    tau = smooth.saturate(jnp.where(jnp.isfinite(measurement.tau), measurement.tau, state.command.tau), limit)
+    tau = smooth.saturate(jnp.where(jnp.isfinite(measurement.tau), measurement.tau, state.tau), limit)
     slow = (jnp.abs(qd) <= reach.REFERENCE_SPEED) & (jnp.abs(qdd) <= reach.REFERENCE_ACCELERATION)
     wanted = slow & (jnp.abs(q - middle) <= half)
     held = Reference(jnp.where(wanted, q, at), jnp.where(wanted, qd, 0.0), jnp.where(wanted, qdd, 0.0))
