@@ -37,6 +37,7 @@ _ROOMS = {
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 _MODULES = {  # public modules, and where they are
+    "export": "export",
     "identify": "identify",
     "logs": "logs",
     "metrics": "evaluation.metrics",

@@ -30,6 +30,7 @@ REDUCED = {  # options added to the printed commands before they run here: their
     "calibrate": "--runs 600 --duration 0.2",
     "bench": "--quick",
     "view": "",
+    "export": "--ticks 20",
 }
 NOT_RUN = {  # lines that do not run here, and why
     "pip install": "the environment that runs this is what they make",

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
-from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.types import Array, Measurement, Output, Reference
 
