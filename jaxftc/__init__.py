@@ -38,6 +38,7 @@ _ROOMS = {
 }
 _HOME = {name: room for room, names in _ROOMS.items() for name in names}
 _MODULES = {  # public modules, and where they are
+    "export": "export",
     "faults": "faults",
     "identify": "identify",
     "logs": "logs",

@@ -1,4 +1,5 @@
 # The public names for type checkers; __init__.py loads them on first use.
+from jaxftc import export as export
 from jaxftc import faults as faults
 from jaxftc import identify as identify
 from jaxftc import logs as logs

@@ -7,10 +7,19 @@ from jaxftc import Robot
 from jaxftc.robot.model import compile_robot
 
 
-@functools.cache
+def two_hinges() -> Robot:
+    """The same with a joint less, for programs that are large."""
+    return _arm("two hinges", 2)
+
+
 def three_hinges() -> Robot:
     """Motors with limits, viscous friction, Coulomb friction that depends on the direction, gravity."""
-    text = arms.serial(3).replace("<worldbody>", '<size nuser_jnt="2"/><worldbody>')
-    robot = compile_robot("three hinges", text.replace("<joint ", '<joint user="0.6 0.4" '))
+    return _arm("three hinges", 3)
+
+
+@functools.cache
+def _arm(name: str, joints: int) -> Robot:
+    text = arms.serial(joints).replace("<worldbody>", '<size nuser_jnt="2"/><worldbody>')
+    robot = compile_robot(name, text.replace("<joint ", '<joint user="0.6 0.4" '))
     assert (robot.coulomb_positive > robot.coulomb_negative).all() and (robot.coulomb_negative > 0).all()
     return robot

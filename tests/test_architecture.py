@@ -152,9 +152,8 @@ def test_no_cycle_of_imports():
 @pytest.mark.parametrize("package", [jaxftc, tuning], ids=lambda package: package.__name__)
 def test_type_checkers_and_python_see_the_same_public_names(package):
     name, version = package.__name__, {("__version__", "jaxftc.version")} if package is jaxftc else set()
-    modules = {("metrics", "jaxftc.evaluation")} | {
-        (room, "jaxftc") for room in ("faults", "identify", "logs", "observer", "realtime")
-    }
+    rooms = ("export", "faults", "identify", "logs", "observer", "realtime")
+    modules = {("metrics", "jaxftc.evaluation")} | {(room, "jaxftc") for room in rooms}
     modules = modules if package is jaxftc else set()
     stub = ast.parse((ROOT / name / "__init__.pyi").read_text())
     nodes = [node for node in stub.body if isinstance(node, ast.ImportFrom)]

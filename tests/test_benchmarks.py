@@ -358,7 +358,7 @@ def test_a_section_that_forgets_a_figure_is_found(monkeypatch, tmp_path):
         speed.SECTIONS, "tick", lambda setup, results: results.metrics.update(tick_p50_us=1.0, tick_p99_us=1.0)
     )
     setup = results.Setup(None, sizes.FULL, 2, tmp_path)
-    with pytest.raises(results.Failed, match="not measured: tick_p999_us"):
+    with pytest.raises(results.Failed, match=r"not measured: .*tick_p999_us"):
         speed.run(setup, ["tick"])
 
 

@@ -31,6 +31,7 @@ REDUCED = {  # options added to the printed commands before they run here: their
     "bench": "--quick",
     "view": "",
     "inspect": "",
+    "export": "--ticks 20",
 }
 NOT_RUN = {  # lines that do not run here, and why
     "pip install": "the environment that runs this is what they make",

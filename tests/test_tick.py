@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.compile import native
 from tests.arms import three_hinges
+
+needs_c = pytest.mark.skipif(native.compiler() is None, reason="no C compiler on this machine")
+BACKENDS = ["xla", pytest.param("c", marks=needs_c)]
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +30,10 @@ def loop(config):
     return jaxftc.Tick(config, gains), gains, reference, angles
 
 
-def test_it_is_step_bit_for_bit_in_shape_and_to_rounding_in_value(config, loop):
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_it_is_step_bit_for_bit_in_shape_and_to_rounding_in_value(config, loop, backend):
     tick, gains, reference, angles = loop
+    tick = tick if backend == "xla" else jaxftc.Tick(config, gains, backend=backend)
     step = jax.jit(jaxftc.step, static_argnums=0)
     packed, plain = tick.init(np.zeros(config.n)), jaxftc.init(config, gains, np.zeros(config.n))
     tau = np.zeros(config.n)
@@ -40,10 +46,11 @@ def test_it_is_step_bit_for_bit_in_shape_and_to_rounding_in_value(config, loop):
         tau = np.asarray(ours.tau)
 
 
+@pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("scheme", ["momentum", "ekf", "computed_torque"])
-def test_every_scheme_has_one(config, scheme):
+def test_every_scheme_has_one(config, scheme, backend):
     config = dataclasses.replace(config, scheme=scheme)
-    tick = jaxftc.Tick(config, jaxftc.default_gains(config))
+    tick = jaxftc.Tick(config, jaxftc.default_gains(config), backend=backend)
     still = np.zeros(config.n)
     state, out = tick.step(tick.init(still), jaxftc.Reference(still, still, still), jaxftc.Measurement(still, still))
     assert np.isfinite(out.tau).all() and np.isfinite(jax.device_get(state)).all()
@@ -149,3 +156,12 @@ def test_a_forked_process_is_refused_at_once(config, loop):
     finally:
         child.kill()
         child.join()
+
+
+def test_an_unknown_backend_and_a_missing_compiler_are_refused(config, loop, monkeypatch):
+    gains = loop[1]
+    with pytest.raises(ValueError, match="backend must be one of 'xla', 'c', got 'gcc'"):
+        jaxftc.Tick(config, gains, backend="gcc")
+    monkeypatch.setenv("CC", "no-such-compiler")
+    with pytest.raises(ValueError, match="no C compiler: CC is 'no-such-compiler'"):
+        jaxftc.Tick(config, gains, backend="c")

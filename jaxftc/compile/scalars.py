@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from jaxftc.compile import box
 from jaxftc.compile.operations import row
-from jaxftc.numerics import box
 
 Places = np.ndarray  # of operations in the list, in the shape of the array that they stand for
 
@@ -92,7 +92,9 @@ class _Unrolled:
         if name in SHAPES:
             made = SHAPES[name](params, *args)
             return made if isinstance(made, list) else [made]
-        (out,) = eqn.outvars
+        out, *others = eqn.outvars
+        if others:  # a loop, most likely
+            row(name, out.aval.dtype)
         shape, dtype = out.aval.shape, out.aval.dtype
         if name == "iota":
             line = np.arange(params["shape"][params["dimension"]], dtype=dtype)

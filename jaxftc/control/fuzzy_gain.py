@@ -5,10 +5,10 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.fuzzy import rule_table
 from jaxftc.gains import ControlGains, Gains, align
-from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 GAINS = tuple(f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor"))

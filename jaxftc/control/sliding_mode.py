@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import fuzzy_gain, surface
 from jaxftc.control.surface import Surface
 from jaxftc.gains import ControlGains, Gains
 from jaxftc.numerics import smooth
 from jaxftc.numerics.barrier import store
-from jaxftc.numerics.box import box
 from jaxftc.stages import Stages, either
 from jaxftc.types import Array, Reference
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
-from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 RELEASE = 0.7  # share of the threshold below which an alarm ends

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
-from jaxftc.numerics.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.types import Array, SensorStatus
 

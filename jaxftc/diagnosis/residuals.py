@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxftc.numerics.box import box
+from jaxftc.compile.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.types import Array

@@ -24,10 +24,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.diagnosis.alarm import Alarms
 from jaxftc.gains import Gains
-from jaxftc.numerics.box import box
 from jaxftc.observer.cascade import Estimate
 from jaxftc.types import Array, SensorStatus
 

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.gains import Gains
-from jaxftc.numerics.box import box
 from jaxftc.types import Array
 
 

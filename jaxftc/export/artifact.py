@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from jaxftc.compile import native
-from jaxftc.export import stablehlo
+from jaxftc.export.stablehlo import load
 from jaxftc.export.tick import DTYPES, Leaf, Tick, precision
 
 Leaves = list[np.ndarray]
@@ -76,7 +76,7 @@ class StableHLO:
     """The StableHLO functions of a folder, by JAX, arm after arm."""
 
     def __init__(self, folder: Path, tick: Tick) -> None:
-        loaded = stablehlo.load(folder)
+        loaded = load(folder)
         self._real, self._states = tick.real, len(tick.leaves()["state"])
         self._init = jax.jit(lambda q: jax.lax.map(lambda q: loaded.call_init(*loaded.gains, q), q))
         self._step = jax.jit(lambda args: jax.lax.map(lambda args: loaded.call_step(*loaded.gains, *args), args))

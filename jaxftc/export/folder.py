@@ -11,7 +11,8 @@ from typing import Any
 import jax
 
 from jaxftc.config import Config
-from jaxftc.export import c, stablehlo
+from jaxftc.export.c import source
+from jaxftc.export.stablehlo import FILES, METADATA, programs
 from jaxftc.export.tick import Real, Tick, decimals, tick
 from jaxftc.gains import Gains
 from jaxftc.gains_file import save_gains
@@ -43,15 +44,15 @@ def write(config: Config, gains: Gains, out: str | Path, *, real: Real = "double
     example = (resources.files("jaxftc.export") / EXAMPLE).read_text(encoding="utf-8")
     if gains_at_run_time:
         example = re.sub(r"(ftc_init|ftc_step)\(&state, ", r"\1(&state, &ftc_default_gains, ", example)
-    texts = c.source(made) | {EXAMPLE: example}
+    texts = source(made) | {EXAMPLE: example}
     for name, text in texts.items():
         write_text(folder / name, text)
-    for name, data in stablehlo.programs(made).items():
+    for name, data in programs(made).items():
         with aside(folder / name) as temporary:
             temporary.write_bytes(data)
-    names = [GAINS, *texts, *stablehlo.FILES]
+    names = [GAINS, *texts, *FILES]
     metadata = made.metadata | {"signals": _signals(made), "files": {name: digest(folder / name) for name in names}}
-    write_text(folder / stablehlo.METADATA, json.dumps(metadata, indent=2, allow_nan=False) + "\n")
+    write_text(folder / METADATA, json.dumps(metadata, indent=2, allow_nan=False) + "\n")
     return made
 
 

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.numerics.barrier import store
-from jaxftc.numerics.box import box
 from jaxftc.observer import arx, laguerre, pi, super_twisting, takagi_sugeno
 from jaxftc.observer.stage import Inputs
 from jaxftc.observer.takagi_sugeno import Jump

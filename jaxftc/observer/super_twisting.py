@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.numerics import smooth
-from jaxftc.numerics.box import box
 from jaxftc.observer.stage import Inputs
 from jaxftc.stages import either
 from jaxftc.types import Array

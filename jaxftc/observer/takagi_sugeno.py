@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.fuzzy import takagi_sugeno
 from jaxftc.gains import Gains, ObserverGains
-from jaxftc.numerics.box import box
 from jaxftc.types import Array, SensorStatus
 
 NAMES = ("alpha_f1", "alpha_f2", "alpha_f3", "leak", "jump", "tau_centres", "tau_widths", "jump_centres", "jump_widths")

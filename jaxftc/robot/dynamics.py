@@ -17,9 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
+from jaxftc.compile.box import box
 from jaxftc.numerics.barrier import unstack
 from jaxftc.numerics.batch import trailing
-from jaxftc.numerics.box import box
 from jaxftc.robot import lanes, mjx, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxftc.compile.box import box
 from jaxftc.numerics.barrier import unstack as lanes
-from jaxftc.numerics.box import box
 from jaxftc.numerics.trigonometry import cos_sin
 from jaxftc.robot.lanes import Lane, add, dot, minus, mul, trailing_constant
 from jaxftc.robot.mass_matrix import MassMatrix

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import fuzzy_gain, last_command, sliding_mode
 from jaxftc.control.last_command import LastCommand
 from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
 from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
-from jaxftc.numerics.box import box
 from jaxftc.observer import cascade, super_twisting, takagi_sugeno
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot import dynamics, lanes, rigid_body

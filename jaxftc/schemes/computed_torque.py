@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import surface
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.gains import Gains
-from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.schemes.output import output
 from jaxftc.types import Array, Measurement, Output, Reference

@@ -21,13 +21,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.sensor_check import JUMP_MEMORY, MANY_JUMPS
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
-from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, reach, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.schemes import computed_torque

@@ -23,13 +23,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
 from jaxftc.diagnosis import alarm, decision
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.numerics.barrier import unstack
-from jaxftc.numerics.box import box
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import computed_torque

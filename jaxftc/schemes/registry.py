@@ -13,11 +13,11 @@ import jax
 import jax.numpy as jnp
 
 from jaxftc import checks, variants
+from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics import smooth
-from jaxftc.numerics.box import box
 from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes, reach, rigid_body
 from jaxftc.stages import Stages
