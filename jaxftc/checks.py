@@ -9,7 +9,7 @@ import difflib
 import math
 import numbers
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import jax
@@ -37,11 +37,11 @@ def instance(name: str, value: object, kind: type) -> None:
         raise ValueError(f"{name} must be a {kind.__name__}, got a {type(value).__name__}; arguments in another order?")
 
 
-def filled(value: object) -> object:
+def filled(value: Any) -> Any:
     """The value; of a masked array, NaN where it is masked, which JAX and NumPy would otherwise read through the mask."""
     import numpy as np
 
-    return value.astype(float).filled(np.nan) if isinstance(value, np.ma.MaskedArray) else value
+    return np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else value
 
 
 def random_key(name: str, value: object) -> None:

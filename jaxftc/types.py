@@ -60,7 +60,7 @@ class Measurement(NamedTuple):
     """
 
     q: Array  # [n, ...] rad, encoder reading
-    tau: Array | None = None  # [n, ...] N m, torque commanded in the last tick; None if it is not known
+    tau: Array = None  # [n, ...] N m, torque commanded in the last tick; None: not known  # pyright: ignore[reportAssignmentType]
 
 
 class SensorStatus(NamedTuple):
