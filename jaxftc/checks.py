@@ -51,7 +51,7 @@ def filled(value: Any) -> Any:
     """The value; of a masked array, NaN where it is masked, which JAX and NumPy would otherwise read through the mask."""
     import numpy as np
 
-    return value.astype(float).filled(np.nan) if isinstance(value, np.ma.MaskedArray) else value
+    return np.ma.filled(value.astype(float), np.nan) if isinstance(value, np.ma.MaskedArray) else value
 
 
 def random_key(name: str, value: object) -> None:
