@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from jaxftc.cli import common
-from jaxftc.cli.campaign import SchemeName
 
 if TYPE_CHECKING:
     from jaxftc.export.check import Compared
@@ -24,7 +23,7 @@ class Export(common.Options):
     Writes ftc_step.h, ftc_step.c, example.c, ftc_init.stablehlo, ftc_step.stablehlo, gains.toml and ftc.json.
     """
 
-    scheme: SchemeName = "cascade"
+    scheme: str = "cascade"
     """What diagnoses and controls, as in jaxftc campaign."""
     dt: float = 1e-3
     """Sample time, s."""
@@ -56,6 +55,7 @@ class Export(common.Options):
         from jaxftc.export.tick import precision
 
         common.key(self)  # the seed's range
+        common.look_here_for(self.scheme)
         config = variant(Config(common.load_arm(self), dt=self.dt, t_final=1000 * self.dt, engine="chain"), self.scheme)
         with precision("double"):
             gains = common.load_or_default(self, config)

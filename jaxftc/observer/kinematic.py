@@ -7,7 +7,7 @@ somebody else's controller, whose torque is known no better than the friction th
 A reading is judged by w, what the expected acceleration leaves unexplained of its second difference (observer/cascade.py). A
 jump goes to the encoder fault b. Two things tell it from what a healthy recording does:
 
-* a row that was stamped wrong moves every reading along its own speed. ``slip`` takes from w what the other joints say of it;
+* a row that was stamped wrong moves every reading along its own speed; ``slip`` takes from w what the others say of it;
 * b that stays below its alarm is forgotten within seconds, so that years of small errors do not add up.
 """
 

@@ -20,7 +20,6 @@ from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
-from jaxftc.observer import stability
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
@@ -105,7 +104,7 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
         ValueError: naming the leaf, what came and what is allowed.
     """
     check_gains(config, gains)
-    stability.check(config, gains)
+    registry.check_stable(config, gains)
     checks.instance("scenario", scenario, Scenario)
     scenario = jax.tree.map(jnp.asarray, scenario)
     axes = scenario.id.shape
