@@ -9,7 +9,7 @@ import pytest
 import small_logs
 
 from jaxftc import Config, logs
-from jaxftc.io.files import write_parquet
+from jaxftc.io.tables import write_parquet
 from jaxftc.robot.arm_file import Arm, Recording
 
 

@@ -578,7 +578,7 @@ def test_joints_that_would_share_a_column_get_their_numbers(tmp_path, names, dis
 
 
 def test_no_table_is_written_with_two_columns_of_one_name(tmp_path):
-    from jaxftc.io.files import write_parquet
+    from jaxftc.io.tables import write_parquet
 
     with refuses("columns 'Q' and 'q' of a.parquet have one name but for their case; rename one"):
         write_parquet(tmp_path / "a.parquet", {"Q": np.zeros(2), "q": np.ones(2)})

@@ -11,7 +11,7 @@ import pytest
 
 import jaxftc
 from jaxftc.cli.common import numbers
-from jaxftc.scenarios.scenario import take
+from jaxftc.scenarios.scenario import take, trail
 from tests.arms import three_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search, terms
 from tuning.settings import GRADIENT_COST, round_length
@@ -203,7 +203,7 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
     problem = Problem(arm, {"spiked": Term(1.0, spiked)}, jax.random.key(1), 4)
     space = methods.transform.space(arm, jaxftc.default_gains(arm), ["control.lam"], ["control"])
     slope = jax.jit(problem.slope(space, "reverse"))
-    batch = jaxftc.trail(take(scenarios, slice(4)))
+    batch = trail(take(scenarios, slice(4)))
     _, slopes = slope(problem.key, jnp.zeros(1), jnp.ones(()), batch, jnp.full((1, 4), np.inf))
     np.testing.assert_allclose(slopes[0], [0.5, 1.0, 0.0, 0.5], rtol=1e-6)
 

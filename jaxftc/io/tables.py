@@ -63,10 +63,16 @@ def write_parquet(path: Path, columns: dict[str, Any]) -> None:
     """Write columns of equal length whole or not at all.
 
     Raises:
+        ValueError: two names differ in nothing but their case; DuckDB would drop a column.
         OSError: the disk is full, or the folder cannot be written.
     """
     import duckdb
 
+    seen: dict[str, str] = {}
+    for name in columns:
+        other = seen.setdefault(name.lower(), name)
+        if other != name:
+            raise ValueError(f"columns {other!r} and {name!r} of {path.name} have one name but for their case; rename one")
     with aside(path) as temporary, connect() as connection:
         connection.register("columns", columns)
         try:

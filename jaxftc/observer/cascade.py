@@ -26,6 +26,7 @@ from jaxftc.types import Array, SensorStatus
 
 STAGES: dict[str, ModuleType] = {"pi": pi, "sliding": super_twisting}  # blocks 2 and 3; block 4 looks at more
 BLIND = 1.0  # rad/s^2, by which a prediction without a reading may be wrong
+UNDONE = 0.02  # share of a large encoder fault that a jump back may leave: the arm has drifted by that much meanwhile
 SETTLE = 50.0  # ticks, at most, in which a model without a reading loses the arm's speed and finds it again
 
 
@@ -119,10 +120,12 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     jump = _jump(config, gains, state, reading, at, y - b, e, b, on)
     beyond = (jnp.abs(e) > _step(config) * (1 + state.unread)) & (reading.sensors.transient == 0)
     leap = at.back & beyond & ~ended
-    jump = jump._replace(moved=jnp.where(leap, e, jump.moved))
+    moved = jnp.where(leap, e, jump.moved)
+    undone = at.wild & ~at.missing & (jnp.abs(b + moved) < UNDONE * jnp.abs(b))
+    jump = jump._replace(moved=jnp.where(undone, -b, moved))
     ahead = y_hat - state.q1  # a model that is left to itself must not leave the arm behind
     reach_back = jnp.where(at.missing, jnp.clip(ahead, -_step(config), _step(config)) - ahead, jump.followed)
-    model_reset = jnp.where(at.back & ~leap, e, reach_back)
+    model_reset = jnp.where(undone, e + b, jnp.where(at.back & ~leap, e, reach_back))
     y_hat, e, b, model_reset = store((y_hat + model_reset, e - model_reset - jump.moved, b + jump.moved, model_reset))
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * model_reset)[:, None]  # H_y(1) = 1: y_hat moves with it
     inputs = Inputs(e, jump.h_s, on)
