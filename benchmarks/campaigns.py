@@ -15,6 +15,7 @@ from typing import NamedTuple
 from benchmarks.machine import peak
 from benchmarks.results import Results, Setup, Table
 from benchmarks.worker import Failed, environment
+from jaxftc.cli import common
 
 MAIN = "from jaxftc.cli.main import main; main()"
 # On Linux a process tells its own peak at its end: what the system counts for it begins with its parent's.
@@ -58,7 +59,7 @@ def _command(setup: Setup, words: list[str], cache: Path) -> Ran:
     """One command of ours on the suite's arm, in a folder that is new."""
     folder = Path(tempfile.mkdtemp(dir=setup.folder))
     task = setup.task("loop")
-    shared = ["--robot", task.robot] if task.robot != "puma560" else []
+    shared = common.arm_words(setup.options)
     shared += ["--gains", task.gains] if task.gains is not None else []
     return python(["-c", TELL + MAIN, *words, *(shared if words[0][0] != "-" else [])], folder, cache)
 

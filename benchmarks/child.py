@@ -75,7 +75,12 @@ def main(task: Task) -> None:
     if task.cores is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: task.cores])
     options = common.Options(
-        engine=task.engine, robot=task.robot, coulomb=task.coulomb, gains=None if task.gains is None else Path(task.gains)
+        engine=task.engine,
+        robot=task.robot,
+        tip=task.tip,
+        lock=tuple(task.lock),
+        coulomb=task.coulomb,
+        gains=None if task.gains is None else Path(task.gains),
     )
     common.prepare(options, many=task.what in ("loop", "gradient"), devices=task.what == "gradient")  # as the commands do
     if task.what == "tick":  # as a control loop does, see jaxftc.Tick

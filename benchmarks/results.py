@@ -76,6 +76,8 @@ class Setup:
         base = Task(
             what=what,  # pyright: ignore[reportArgumentType]
             robot=robot if robot == "puma560" else str(Path(robot).resolve()),
+            tip=self.options.tip,
+            lock=self.options.lock,
             coulomb=self.options.coulomb and robot == "puma560",
             gains=None if gains is None else str(gains.resolve()),
             duration=self.sizes.duration,

@@ -22,6 +22,8 @@ class Task:
 
     what: Literal["loop", "gradient", "mjx", "tick"]
     robot: str = "puma560"
+    tip: str | None = None
+    lock: tuple[str, ...] = ()
     coulomb: bool = True
     gains: str | None = None
     engine: Literal["mjx", "chain"] = "chain"

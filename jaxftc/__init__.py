@@ -17,6 +17,7 @@ from jaxftc.version import __version__ as __version__
 _ROOMS = {
     "robot.dynamics": ("Plant", "forward_dynamics", "inverse_dynamics", "nominal_plant"),
     "robot.puma560": ("puma560",),
+    "robot.arm_file": ("Arm", "Recording", "load_arm", "save_arm"),
     "robot.model": ("Robot", "load_robot"),
     "simulation.closed_loop": ("Trace", "simulate"),
     "compile.xla": ("configure_xla",),

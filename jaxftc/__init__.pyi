@@ -10,6 +10,10 @@ from jaxftc.evaluation import metrics as metrics
 from jaxftc.gains import Gains as Gains
 from jaxftc.gains_file import load_gains as load_gains
 from jaxftc.gains_file import save_gains as save_gains
+from jaxftc.robot.arm_file import Arm as Arm
+from jaxftc.robot.arm_file import Recording as Recording
+from jaxftc.robot.arm_file import load_arm as load_arm
+from jaxftc.robot.arm_file import save_arm as save_arm
 from jaxftc.robot.dynamics import Plant as Plant
 from jaxftc.robot.dynamics import forward_dynamics as forward_dynamics
 from jaxftc.robot.dynamics import inverse_dynamics as inverse_dynamics

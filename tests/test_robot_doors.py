@@ -218,39 +218,9 @@ def test_configs_are_compared_by_value():
 # Refusals: robots.
 
 
-def body(joint: str) -> str:
-    return f'<mujoco><worldbody><body name="b">{joint}<geom size="0.1" mass="1"/></body></worldbody></mujoco>'
-
-
-LIMB = '<body name="{}"><joint/><geom size="0.1" mass="1"/>{}</body>'
-BRANCHES = LIMB.format("trunk", LIMB.format("left", "") + LIMB.format("right", ""))
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"),
-    [
-        (body("<freejoint/>"), ["arm: joint '' is a free joint; only hinges are supported, so weld the base to the world"]),
-        (body('<joint name="rail" type="slide"/>'), ["arm: joint 'rail' is a slide joint; only hinges are supported"]),
-        (body('<joint name="hip" type="ball"/>'), ["arm: joint 'hip' is a ball joint; only hinges are supported"]),
-        (body(""), ["arm has no joint; a serial arm of at least one hinge is needed"]),
-        (
-            f"<mujoco><worldbody>{BRANCHES}</worldbody></mujoco>",
-            ["arm: body 'right' branches off; only one serial chain is supported, so remove or weld the joints"],
-        ),
-        (body('<joint stiffness="9"/>'), ["arm: joint stiffness and gravcomp are not modelled here; remove them, or add"]),
-        ("<mujoco><worldbody>", ["arm.xml does not compile: XML parse error"]),
-        (body("<joint/>").replace(' mass="1"', ' mass="0"'), ["arm does not compile:", "mass and inertia"]),
-    ],
-    ids=["free", "slide", "ball", "no joint", "branch", "spring", "not XML", "no mass"],
-)
-def test_what_is_no_serial_arm_of_hinges_is_refused(tmp_path, text, parts):
-    with refuses(*parts):
-        load(tmp_path, text)
-
-
 def test_a_missing_robot_file_is_refused(tmp_path):
     for path in (tmp_path / "none.xml", tmp_path):
-        with refuses(f"no robot file at {path}; give an MJCF or URDF file, or 'puma560' for the built-in arm"):
+        with refuses(f"no robot file at {path}", "give an MJCF or URDF file,", "or 'puma560' for the built-in arm"):
             jaxftc.load_robot(path)
 
 

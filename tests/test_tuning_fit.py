@@ -10,10 +10,10 @@ import optax
 import pytest
 
 import jaxftc
+from jaxftc.cli.common import numbers
 from jaxftc.scenarios.scenario import take
 from tests.arms import three_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search, terms
-from tuning.cli import numbers
 from tuning.settings import GRADIENT_COST, round_length
 
 FREE = ["control", "diagnosis", "observer.alpha_p"]
@@ -316,10 +316,10 @@ def test_weights_of_terms(arm):
 
 
 def test_words_of_the_command_line_name_a_term_and_a_number():
-    assert numbers("--weight", ("delay=3", "tracking=0.5")) == {"delay": 3.0, "tracking": 0.5}
+    assert numbers("--weight", ("delay=3", "tracking=0.5"), "delay=3") == {"delay": 3.0, "tracking": 0.5}
     for words, text in ((("delay",), "with a number each, such as delay=3, got 'delay'"), (("a=1", "a=2"), "'a' twice")):
         with pytest.raises(ValueError, match=text):
-            numbers("--limit", words)
+            numbers("--limit", words, "delay=3")
 
 
 def test_rounds_divide_the_steps():

@@ -175,7 +175,7 @@ def test_it_stands_where_the_robot_stands(arm, paper_arm, tmp_path):
         source = tmp_path / "arm.xml"
         source.write_text(BARE.format(hand=TOOL))
         robot = jaxftc.load_robot(source)
-    drawn = stage.build(robot, source).model
+    drawn = stage.build(robot).model
     data, truth = mujoco.MjData(drawn), mujoco.MjData(robot.mj_model)
     for q in np.random.default_rng(0).uniform(-np.pi, np.pi, (20, robot.n)):
         data.qpos[:] = truth.qpos[:] = q
@@ -249,7 +249,7 @@ def test_an_arm_without_shapes_gets_capsules_from_joint_to_joint(tmp_path):
         source = tmp_path / "arm.xml"
         source.write_text(BARE.format(hand=hand))
         robot = jaxftc.load_robot(source)
-        model, tinted = stage.build(robot, source)
+        model, tinted = stage.build(robot)
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         names = [model.geom(g).name for g in range(model.ngeom)]
@@ -275,7 +275,7 @@ def test_a_urdf_without_shapes_is_drawn_too(tmp_path):
       <axis xyz="0 1 0"/></joint></robot>"""
     (tmp_path / "lamp.urdf").write_text(text)
     robot = jaxftc.load_robot(tmp_path / "lamp.urdf")
-    model, tinted = stage.build(robot, tmp_path / "lamp.urdf")
+    model, tinted = stage.build(robot)
     assert (model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).sum() == 1 and len(tinted[0]) == 1
 
 
@@ -284,7 +284,7 @@ def test_an_own_floor_light_and_background_are_kept(tmp_path):
       <light pos="0 0 2"/><geom type="plane" size="1 1 1"/>"""
     (tmp_path / "arm.xml").write_text(BARE.format(hand=BOX).replace("<mujoco><worldbody>", own))
     robot = jaxftc.load_robot(tmp_path / "arm.xml")
-    model = stage.build(robot, tmp_path / "arm.xml").model
+    model = stage.build(robot).model
     assert model.nlight == model.ntex == 1 and (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).sum() == 1
     assert mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, stage.FLOOR) == -1
 
@@ -505,7 +505,20 @@ def test_every_option_has_a_default_and_a_line_of_help():
     assert {name: getattr(given, name) for name in options} == options
     every = ["--video", "a.gif", "--robot", "arm.xml", "--speed", "2", "--no-ghost", "--fps", "10", "--at", "0.1"]
     given = parse(["view", "folder", *every, "--width", "100", "--height", "90", "--json"])
-    assert dataclasses.astuple(given) == (Path("folder"), Path("a.gif"), "arm.xml", 2.0, False, 10.0, 0.1, 100, 90, True)
+    assert dataclasses.astuple(given) == (
+        Path("folder"),
+        Path("a.gif"),
+        "arm.xml",
+        None,
+        (),
+        2.0,
+        False,
+        10.0,
+        0.1,
+        100,
+        90,
+        True,
+    )
 
 
 # --- screens ---

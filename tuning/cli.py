@@ -76,8 +76,8 @@ class Tune(common.Options):
         from tuning.loop import fit
 
         self.settings.check()
-        objective = terms.weighted(terms.OBJECTIVE, numbers("--weight", self.weight))
-        limits = numbers("--limit", self.limit)
+        objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
+        limits = common.numbers("--limit", self.limit, "delay=0.02")
         terms.check_terms("limit", objective, limits)
         checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
         config = Config(
@@ -126,7 +126,7 @@ class Tune(common.Options):
         common.say(self, summary(result, comparisons, seed))
         common.say(self, "\n".join(["", "gains, before -> after", *(report.moved(start, result.gains) or ["none moved"])]))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
-        arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else f"--robot {shlex.quote(self.robot)}"
+        arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else shlex.join(common.arm_words(self))
         words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
         if self.rules == "printed":
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
@@ -166,25 +166,6 @@ class Bar:
         else:
             self.bar.update(progress.step - self.bar.n)
         self.last = progress
-
-
-def numbers(option: str, words: tuple[str, ...]) -> dict[str, float]:
-    """Terms and their numbers from words such as ``delay=3``.
-
-    Raises:
-        ValueError: a word of another form, or a term twice.
-    """
-    found: dict[str, float] = {}
-    for word in words:
-        name, _, number = word.partition("=")
-        try:
-            value = float(number)
-        except ValueError as error:
-            raise ValueError(f"{option} takes terms with a number each, such as delay=3, got {word!r}") from error
-        if name in found:
-            raise ValueError(f"{option} has the term {name!r} twice; give it once")
-        found[name] = value
-    return found
 
 
 def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict[str, Any]:

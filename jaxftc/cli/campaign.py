@@ -95,7 +95,8 @@ class Campaign(Laws):
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        jobs = {name: self.job(scheme_config(self.base(), name)) for name in names}
+        base = self.base()
+        jobs = {name: self.job(scheme_config(base, name)) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
@@ -191,6 +192,8 @@ class Campaign(Laws):
         robot = self.robot if self.robot == "puma560" else str(Path(self.robot).resolve())
         request: dict[str, Any] = {"scheme": name, "robot": robot, "coulomb": self.coulomb, "engine": self.engine}
         request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
+        request |= {} if self.tip is None else {"tip": self.tip}
+        request |= {"lock": list(self.lock)} if self.lock else {}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         if self.gains is not None:

@@ -31,7 +31,11 @@ class Options:
     engine: Literal["mjx", "chain"] = "mjx"
     """Plant dynamics: MuJoCo MJX, or the unrolled chain (several times faster, same motion)."""
     robot: str = "puma560"
-    """Built-in arm, or an MJCF or URDF file of a serial arm of hinges."""
+    """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""
+    tip: str | None = None
+    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
+    lock: tuple[str, ...] = ()
+    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
     coulomb: bool = False
     """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
     gains: Path | None = None
@@ -93,16 +97,61 @@ def key(options: Options) -> Any:
 
 
 def load_arm(options: Options) -> Robot:
-    """The robot that ``--robot`` names."""
-    from jaxftc import load_robot, puma560
+    """The robot that ``--robot`` names, once it is told on stderr what was welded, left out or is doubtful."""
+    if options.robot == "puma560":
+        return built_in(options.tip, options.lock, coulomb=options.coulomb)
+    if options.coulomb and not type(options).coulomb:  # asked for, not the command's default
+        raise ValueError("--coulomb is for the built-in arm; a robot file says its friction itself (user or frictionloss)")
+    return read_arm(options.robot, options.tip, options.lock)
 
-    if options.robot != "puma560":
-        if options.coulomb and not type(options).coulomb:  # asked for, not the command's default
-            raise ValueError(
-                "--coulomb is for the built-in arm; a robot file says its friction itself (user or frictionloss)"
-            )
-        return load_robot(options.robot)
-    return puma560(coulomb=options.coulomb)
+
+def built_in(tip: str | None, lock: tuple[str, ...], *, coulomb: bool) -> Robot:
+    """The PUMA 560, which ends where it ends."""
+    from jaxftc import puma560
+
+    if tip is not None or lock:
+        raise ValueError("--tip and --lock are for robot files; leave them out, or give --robot FILE")
+    return puma560(coulomb=coulomb)
+
+
+def read_arm(path: str, tip: str | None, lock: tuple[str, ...], *, cautions: bool = True) -> Robot:
+    """A robot from a file; what was welded or left out, and what makes results doubtful, goes to stderr."""
+    from jaxftc.robot.model import read_robot
+
+    robot = read_robot(path, tip=tip, lock=numbers("--lock", lock))
+    for line in robot.notes + robot.cautions * cautions:
+        print(f"{robot.name}: {line}", file=sys.stderr)
+    return robot
+
+
+def arm_words(options: Options) -> list[str]:
+    """The words of a command line that name the same arm."""
+    if options.robot == "puma560":
+        return []
+    words = ["--robot", str(Path(options.robot).resolve())]
+    words += [] if options.tip is None else ["--tip", options.tip]
+    return words + (["--lock", *options.lock] if options.lock else [])
+
+
+def numbers(option: str, words: tuple[str, ...], example: str = "elbow=0.5") -> dict[str, float]:
+    """Names and their numbers from words such as ``elbow=0.5``.
+
+    Raises:
+        ValueError: a word of another form, or a name twice.
+    """
+    found: dict[str, float] = {}
+    for word in words:
+        name, _, number = word.rpartition("=")
+        try:
+            value = float(number)
+        except ValueError as error:
+            raise ValueError(f"{option} takes names with a number each, such as {example}, got {word!r}") from error
+        if not name:
+            raise ValueError(f"{option} takes names with a number each, such as {example}, got {word!r}")
+        if name in found:
+            raise ValueError(f"{option} has {name!r} twice; give it once")
+        found[name] = value
+    return found
 
 
 def load_or_default(options: Options, config: Config) -> Gains:

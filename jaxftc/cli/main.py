@@ -16,11 +16,19 @@ import tyro
 from jaxftc.cli.calibrate import Calibrate
 from jaxftc.cli.campaign import Campaign
 from jaxftc.cli.demo import Demo
+from jaxftc.cli.inspect import Inspect
 from jaxftc.cli.simulate import Simulate
 from jaxftc.cli.view import View
 from jaxftc.version import __version__
 
-COMMANDS: dict[str, Any] = {"demo": Demo, "simulate": Simulate, "campaign": Campaign, "calibrate": Calibrate, "view": View}
+COMMANDS: dict[str, Any] = {
+    "demo": Demo,
+    "inspect": Inspect,
+    "simulate": Simulate,
+    "campaign": Campaign,
+    "calibrate": Calibrate,
+    "view": View,
+}
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 

@@ -123,7 +123,8 @@ class Simulate(common.Options):
         if not 0 <= self.id < 2**31:
             raise ValueError(f"--id must lie in 0 to 2^31 - 1, got {self.id}")
         asked = store.read_manifest(self.campaign)["request"]
-        options = dataclasses.replace(self, robot=asked["robot"], coulomb=asked["coulomb"] and asked["robot"] == "puma560")
+        arm = {"robot": asked["robot"], "tip": asked.get("tip"), "lock": tuple(asked.get("lock", ()))}
+        options = dataclasses.replace(self, **arm, coulomb=asked["coulomb"] and asked["robot"] == "puma560")
         base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
         job = load(self.campaign, base)
         row, trace = again(job, self.id)

@@ -24,7 +24,11 @@ class View:
     video: Path | None = None
     """File to write, .mp4, .gif or .png, in place of opening a window."""
     robot: str = "puma560"
-    """The arm that the run was made with: built in, or an MJCF or URDF file."""
+    """The arm that the run was made with: built in, an MJCF or URDF file, or an arm's own file or its folder."""
+    tip: str | None = None
+    """Link, site or joint at which the arm ends, as the run had it."""
+    lock: tuple[str, ...] = ()
+    """Joints that are welded, and where in rad or m, as the run had it."""
     speed: float = 0.25
     """Seconds of the run in a second of the film or the window."""
     ghost: bool = True
@@ -76,14 +80,14 @@ class View:
 
     def _scene(self) -> Any:
         """The run on stage."""
-        from jaxftc import load_robot, puma560
+        from jaxftc.cli import common
         from jaxftc.view.replay import read
         from jaxftc.view.scene import Scene
 
         replay = read(self.source)
-        built_in = self.robot == "puma560"
-        robot = puma560() if built_in else load_robot(self.robot)
-        return Scene(robot, replay, None if built_in else Path(self.robot))
+        if self.robot == "puma560":
+            return Scene(common.built_in(self.tip, self.lock, coulomb=True), replay)
+        return Scene(common.read_arm(self.robot, self.tip, self.lock, cautions=False), replay)
 
     def _refuse_idle(self) -> None:
         """Refuse options that would do nothing."""

@@ -99,7 +99,11 @@ def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
     if lost.size:
         raise ValueError(
             f"the arm diverged: its angles are not finite from {lost[0] * config.dt:g} s on; "
-            "give smaller faults or gains, or a longer motion"
+            + (
+                "its file gives no motor inertia and no friction, so give both in an arm.toml; or "
+                * config.robot.frictionless
+            )
+            + "give smaller faults or gains, or a longer motion"
         )
     found = detection(config, trace["verdict"], *truth(trace["fault_tau"], trace["fault_q"]))
     return Metrics(

@@ -23,10 +23,25 @@ REST_TICKS, REST_SPEED = 10, 0.15  # ticks that the speed at the start is taken 
 
 
 class Log(NamedTuple):
-    """One healthy motion at the sample time ``config.dt``, time first. It starts with the arm at rest."""
+    """A recorded motion at even times, time first; ``read`` makes it from a file."""
 
     q: np.ndarray | Array  # [T, n] rad, encoder
-    tau: np.ndarray | Array  # [T, n] N m, commanded in the tick of the reading and held until the next
+    tau: np.ndarray | Array  # [T, n] N m, commanded in the tick of the reading and held until the next; NaN: not recorded
+    t: np.ndarray | None = None  # [T] s, from the file's first row; jumps between segments
+    dt: float | None = None  # s, sample time; None: that of the config that it is used with
+    segments: tuple[tuple[int, int], ...] = ()  # [start, stop) of stretches without a gap; none: all is one stretch
+    notes: tuple[str, ...] = ()  # what was found and repaired in the file, one line each
+    unit: str = "N m"  # of tau; "A" where currents were recorded and the torque for one is not known
+
+    @property
+    def stretches(self) -> tuple[tuple[int, int], ...]:
+        """[start, stop) of every stretch without a gap."""
+        return self.segments or ((0, len(self.q)),)
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether torques were recorded."""
+        return bool(np.isfinite(np.asarray(self.tau)).all())
 
 
 def from_trace(trace: Trace) -> Log:
@@ -77,7 +92,7 @@ def check_log(config: Config, log: Log, *, moving: bool = True) -> Log:
             f"joint {travel.argmin() + 1} ({config.robot.joint_names[travel.argmin()]}) moved by {travel.min():.3g} rad in "
             f"the log; at least {LEAST_TRAVEL} rad is needed to identify it, so record a motion of every joint"
         )
-    return Log(q, tau)
+    return log._replace(q=q, tau=tau)
 
 
 def model_input(config: Config, log: Log, half_window: int = 5) -> np.ndarray:

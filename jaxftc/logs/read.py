@@ -1,84 +1,188 @@
-"""Recorded logs: a table of time, encoder readings and commanded torques, checked and brought to the sample time.
+"""A log from a file: columns found, time put in order, readings repaired, all of it said; what cannot be is refused.
 
-A log is CSV or Parquet with columns ``t`` (s), ``q1``, ``q2``, ... (rad) and ``tau1``, ``tau2``, ... (N m), joints in order,
-or with joint names as ``jaxftc simulate`` writes them (``y_joint1``, ``tau_joint1``).
+``formats`` has the files, ``columns`` the names, ``clock`` the time, ``readings`` the angles, ``against_model`` the torques.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.logs.log import Log, check_log
+from jaxftc.logs import against_model, clock, columns, formats, readings
+from jaxftc.logs.log import Log
+from jaxftc.robot.model import Robot
 
-GAP = 5  # sample times without a row that still pass
+LEAST_ROWS = 100
+SLOWER = 2.2  # a sample time this much shorter than the log's own would be made up between its rows
 
 
-def read(path: str | Path, config: Config) -> Log:
-    """A log at the sample time ``config.dt``: angles in between by straight lines, torques held.
+def read(
+    path: str | Path,
+    arm: Robot | Config,
+    *,
+    columns: Mapping[str, str] | None = None,
+    dt: float | None = None,
+    degrees: bool | None = None,
+    torque_per_ampere: float | Sequence[float] | None = None,
+    check: bool = True,
+) -> Log:
+    """A recorded motion, at even times.
+
+    Args:
+        path: CSV or other text, Parquet, MCAP, or a rosbag2 (.db3 or folder) of ``sensor_msgs/JointState``.
+        arm: The robot; or a config, at whose ``dt`` the log is wanted.
+        columns: Our names (t, q1, q2, ..., tau1, ...) and the file's, where they are not found; a minus before the file's
+            name turns the sign round. Of a file without a head the columns are "column 1", "column 2", ...
+        dt: Sample time in s; that of the config or the log's own if not given. A file without time must have it.
+        degrees: Whether angles are in degrees; found out if not given.
+        torque_per_ampere: N m for one ampere, one number or one a joint, where currents were recorded.
+        check: Hold the columns against the model; ``False`` takes them as they are.
+
+    Returns:
+        The log; its ``notes`` say what was found and repaired. Without torques in the file, ``tau`` is NaN.
 
     Raises:
-        ValueError: a file that cannot be read, missing columns, times that do not increase or leave gaps, values that are
-            not finite, or a start in motion.
+        ValueError: the file cannot be read, columns are missing, a cell is no number, rows hold something else than this
+            arm's readings, or a column is dead, swapped or negated; one line with file, row and column.
     """
-    table = _table(Path(path))
-    q, tau = (_signals(path, table, config, *names) for names in ((("q", "y_", "q_"), "rad"), (("tau", "tau_"), "N m")))
+    config, robot = (arm, arm.robot) if isinstance(arm, Config) else (None, arm)
+    checks.instance("arm", robot, Robot)
+    if dt is not None:
+        checks.positive("dt", dt, "seconds")
+    path = Path(path)
+    table = formats.table(path)
     try:
-        t = np.asarray(table.get("t", []), float)
-    except ValueError as error:
-        raise ValueError(f"{path}: column 't' must hold the time in s: {error}") from error
-    if not len(t):
-        raise ValueError(f"{path}: column 't' is missing or empty; it is the time in s, one row a sample")
-    steps = np.diff(t)
-    if len(t) < 2 or not np.isfinite(t).all() or (steps <= 0).any():
-        row = int(np.flatnonzero(~(steps > 0))[0]) + 2 if len(t) > 1 and not (steps > 0).all() else 1
-        raise ValueError(f"{path}: t must increase from row to row, it does not at row {row}; sort the log and drop doubles")
-    if steps.max() > GAP * config.dt:
-        row = int(steps.argmax())
-        raise ValueError(
-            f"{path}: {steps[row]:.3g} s without a row after t = {t[row]:g} s; at most {GAP} sample times of {config.dt:g} "
-            "s pass, so cut the log there"
-        )
-    ticks = int(np.floor((t[-1] - t[0]) / config.dt + 1e-6)) + 1
-    if not (len(t) == ticks and np.allclose(steps, config.dt, rtol=0, atol=1e-6)):
-        grid = t[0] + config.dt * np.arange(ticks)
-        held = np.clip(np.searchsorted(t, grid + 1e-9, side="right") - 1, 0, len(t) - 1)
-        q = np.stack([np.interp(grid, t, column) for column in q.T], axis=1)
-        tau = tau[held]
-    try:
-        return check_log(config, Log(q, tau), moving=False)
+        return _log(path, table, robot, columns, dt or (config.dt if config else None), dt, degrees, torque_per_ampere, check)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _table(path: Path) -> dict[str, np.ndarray]:
-    import duckdb
+def _log(path, table, robot, given, wanted, dt, degrees, torque_per_ampere, check) -> Log:  # noqa: ANN001, ANN202
+    found = columns.find(list(table.columns), robot.joint_names, given)
+    notes = [*table.notes, *found.notes]
+    q = _numbers(table, found, found.angle, "rad")
+    tau = _numbers(table, found, found.torque, "N m") if found.torque else None
+    t, whole = _time(table, found, dt, len(q), notes), np.isfinite(q).all(1)
+    if tau is None:
+        notes.append("the file has no torques: readings alone are judged; torques and the model cannot be")
+    else:
+        whole &= np.isfinite(tau).all(1)
+        tau = _torque_unit(tau, found, robot, torque_per_ampere, notes)
+    _hollow(found, q, tau)
+    rows = clock.order(t, whole)
+    notes += rows.notes
+    q, tau = q[rows.kept], None if tau is None else tau[rows.kept]
+    why = "its columns say so" if found.units.get("angle") == "deg" else readings.in_degrees(robot, q)
+    if degrees or (degrees is None and why):
+        notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
+        q = np.deg2rad(q)
+    q, said = readings.unwrapped(rows.t, q, rows.starts)
+    notes += said
+    strange = check and readings.other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
+    if strange:
+        raise ValueError(strange)
+    step = wanted or rows.dt
+    if rows.dt > SLOWER * step:
+        raise ValueError(
+            f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; what "
+            f"lies between its rows is not known, so take dt = {rows.dt:g}"
+        )
+    times, values, segments = clock.resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
+    if len(times) < LEAST_ROWS:
+        raise ValueError(f"the log has {len(times)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
+    log = Log(*values, times, step, segments, unit="N m")
+    if tau is not None:
+        amperes = found.units.get("torque") in ("A", "mA") and torque_per_ampere is None
+        log = log._replace(unit="A" if amperes else "N m")
+        if check:
+            wrong, noticed = against_model.doubts(robot, log.q, slow_speed(log), log.tau, amperes=amperes)
+            if wrong:
+                raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are)")
+            notes += noticed
+    return log._replace(notes=tuple(notes))
 
-    reader = {".csv": "read_csv", ".parquet": "read_parquet"}.get(path.suffix.lower())
-    if reader is None:
-        raise ValueError(f"a log must be a .csv or .parquet file, got {path}")
-    try:
-        with duckdb.connect() as connection:
-            found = connection.execute(f"select * from {reader}($path)", {"path": str(path)}).fetchnumpy()
-    except duckdb.Error as error:
-        raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
-    return {name: np.ma.filled(np.ma.asarray(column, dtype=object), np.nan) for name, column in found.items()}
+
+def slow_speed(log: Log) -> np.ndarray:
+    """Speed [T, n] rad/s by differences over 50 ms; enough to tell slow from fast and the way of the motion."""
+    half = max(1, round(0.025 / (log.dt or 1e-3)))
+    out = np.zeros_like(log.q)
+    for start, stop in log.stretches:
+        q = np.asarray(log.q)[start:stop]
+        k = np.arange(len(q))
+        ahead, behind = np.minimum(k + half, len(q) - 1), np.maximum(k - half, 0)
+        out[start:stop] = (q[ahead] - q[behind]) / ((ahead - behind)[:, None] * (log.dt or 1e-3))
+    return out
 
 
-def _signals(
-    path: str | Path, table: dict[str, np.ndarray], config: Config, names: tuple[str, ...], unit: str
-) -> np.ndarray:
-    """[T, n] of the first way of naming that is complete."""
-    plain, *others = names
-    ways = [[f"{plain}{j + 1}" for j in range(config.n)]]
-    ways += [[f"{prefix}{joint}" for joint in config.robot.joint_names] for prefix in others]
-    for way in ways:
-        if all(column in table for column in way):
-            try:
-                return np.stack([np.asarray(table[column], float) for column in way], axis=1)
-            except ValueError as error:
-                raise ValueError(f"{path}: columns {way[0]} to {way[-1]} must hold numbers in {unit}: {error}") from error
-    raise ValueError(f"{path} must have columns {ways[0][0]} to {ways[0][-1]} in {unit}, or {ways[1][0]} and so on; it has "
-                     f"{', '.join(table)}")  # fmt: skip
+def _numbers(table: formats.Table, found: columns.Columns, names: list[str], unit: str) -> np.ndarray:
+    """[rows, n] of columns; a cell that is no number is refused."""
+    out = []
+    for name in names:
+        column = table.columns[name]
+        if column.dtype.kind not in "biuf":
+            column = _cells(name, column, unit)
+        out.append(found.signs.get(name, 1.0) * column.astype(float))
+    return np.stack(out, axis=1)
+
+
+def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
+    from jaxftc.logs.text import MISSING
+
+    out = np.empty(len(column))
+    for row, cell in enumerate(column, start=1):
+        try:
+            out[row - 1] = np.nan if cell is None or str(cell).strip().lower() in MISSING else float(cell)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"row {row}, column {name!r}: must be a number in {unit}, got {cell!r}; mend that cell") from error
+    return out
+
+
+def _time(table: formats.Table, found: columns.Columns, dt: float | None, rows: int, notes: list[str]) -> np.ndarray:
+    if found.time is not None:
+        try:
+            t, said = clock.seconds(table.columns[found.time], found.units.get("time"))
+        except ValueError as error:
+            raise ValueError(f"column {found.time!r} {error}") from error
+        notes += [said] if said else []
+        return t
+    parts = {re.sub(r"[\W_]", "", name.lower()): name for name in table.columns}
+    whole = next((name for key, name in parts.items() if key.endswith(("stampsec", "stampsecs"))), None)
+    rest = next((name for key, name in parts.items() if key.endswith(("stampnanosec", "stampnsec", "stampnsecs"))), None)
+    if whole and rest:
+        seconds = table.columns[whole].astype(float)
+        return seconds - seconds[0] + 1e-9 * table.columns[rest].astype(float)
+    if dt is None:
+        raise ValueError(
+            f"no column of time (t, time, timestamp, ...) among {', '.join(list(table.columns)[:20])}; say which it is with "
+            "--columns t=NAME, or give the sample time with --dt"
+        )
+    notes.append(f"no column of time: rows are {1e3 * dt:g} ms apart, as given")
+    return dt * np.arange(rows)
+
+
+def _torque_unit(tau, found, robot, torque_per_ampere, notes) -> np.ndarray:  # noqa: ANN001
+    if found.units.get("torque") == "mA":
+        tau = 1e-3 * tau
+    if torque_per_ampere is not None:
+        gain = np.asarray(torque_per_ampere, float)
+        if gain.shape not in ((), (1,), (robot.n,)) or not np.isfinite(gain).all() or (gain == 0).any():
+            raise ValueError(f"torque_per_ampere must be one number or {robot.n}, finite and not 0, got {torque_per_ampere}")
+        notes.append(f"torques are currents times {np.array2string(gain, precision=4)} N m/A")
+        return tau * gain
+    if found.units.get("torque") in ("A", "mA"):
+        notes.append("torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere")
+    return tau
+
+
+def _hollow(found: columns.Columns, q: np.ndarray, tau: np.ndarray | None) -> None:
+    for values, names in ((q, found.angle), (tau, found.torque)):
+        if values is None or names is None:
+            continue
+        empty = np.flatnonzero(~np.isfinite(values).any(0))
+        if len(empty):
+            raise ValueError(f"column {names[empty[0]]!r} holds no number in any row; give another with --columns")

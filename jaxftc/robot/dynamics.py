@@ -4,9 +4,9 @@ Equation of motion (design choice on Eq. 1, signs as in ``docs/paper.md``)::
 
     M(q) qdd + h(q, qd) + D qd + f_c(qd) = tau + fault_tau
 
-M holds the reflected motor inertia, f_c is Coulomb friction smoothed by tanh. ``mjx`` takes M and h from MuJoCo MJX,
-``chain`` from the unrolled recursions. The plant's masses, payload, friction and motor inertia are leaves of ``Plant``; the
-controller's nominal model is the robot itself and never sees them.
+M holds the reflected motor inertia, f_c is Coulomb friction smoothed by tanh; both frictions may differ by direction.
+``mjx`` takes M and h from MuJoCo MJX, ``chain`` from the unrolled recursions. The plant's masses, payload, friction and
+motor inertia are leaves of ``Plant``; the controller's nominal model is the robot itself and never sees them.
 """
 
 from __future__ import annotations
@@ -53,12 +53,24 @@ def coulomb(robot: Robot, qd: Array) -> Array:
     return 0.5 * ((positive + negative) * t + (positive - negative) * t * t)
 
 
+def viscous(robot: Robot, qd: Array, damping: Array | None = None) -> Array:
+    """Viscous friction [n, ...] N m: D+ qd at positive speed, D- qd at negative speed.
+
+    ``damping`` [n, ...] stands for the mean of both, if a plant has another one; their difference scales with it.
+    """
+    mean = lanes.trailing_constant(robot.damping, qd) if damping is None else damping
+    if np.array_equal(robot.damping_positive, robot.damping_negative):
+        return mean * qd
+    half = 0.5 * (robot.damping_positive - robot.damping_negative) / np.where(robot.damping > 0, robot.damping, 1.0)
+    return mean * qd * (1.0 + lanes.trailing_constant(half, qd) * jnp.tanh(qd / robot.coulomb_speed))
+
+
 def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float = 0.0) -> Array:
     """Qdd [n, ...] rad/s^2 for a delivered torque; with dt > 0 viscous friction acts implicitly, as MuJoCo's Euler does."""
     plant = _align(plant, qd.ndim - 1)
     damping = plant.damping * lanes.trailing_constant(robot.damping, qd)
     armature = plant.armature * lanes.trailing_constant(robot.armature, qd)
-    drive = tau - damping * qd - plant.coulomb * coulomb(robot, qd)
+    drive = tau - viscous(robot, qd, damping) - plant.coulomb * coulomb(robot, qd)
     if engine == "mjx":
         matrix, bias = mjx.mass_and_bias(robot, plant.mass, plant.payload, q, qd)
         mass = MassMatrix.of(matrix)
@@ -100,7 +112,7 @@ def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> 
     """M qdd + h + D qd [n, ...] N m of the nominal arm, Coulomb friction left out."""
     inertias = rigid_body.nominal_inertias(robot)
     links = rigid_body.newton_euler(robot, inertias, at, unstack(qd), unstack(qdd))
-    motor = lanes.trailing_constant(robot.armature, qdd) * qdd + lanes.trailing_constant(robot.damping, qd) * qd
+    motor = lanes.trailing_constant(robot.armature, qdd) * qdd + viscous(robot, qd)
     return lanes.stack(links, motor) + motor
 
 

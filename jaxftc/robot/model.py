@@ -1,4 +1,4 @@
-"""From MJCF or URDF to ``Robot``: a compiled MuJoCo model, and the serial chain of hinges read out of it.
+"""``Robot``: the numbers of a serial arm of hinges, and a MuJoCo model made of them; from MJCF, URDF or an arm's own file.
 
 Contacts, joint limits and dry friction as MuJoCo constraints are switched off: they bring a solver loop that has no
 reverse mode. Dry friction becomes a smooth torque, Coulomb times tanh of speed, in both engines.
@@ -7,52 +7,112 @@ reverse mode. Dry friction becomes a smooth torque, Coulomb times tanh of speed,
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
-from collections.abc import Callable
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
+from jaxftc import checks
+from jaxftc.robot import chain, mjcf, urdf
+from jaxftc.robot.chain import Chain
+from jaxftc.robot.chain import Link as Link
+from jaxftc.robot.tree import Tree, point_inertia
+
 PAYLOAD = "jaxftc_payload"  # massless body at the tool, so that a payload is one mass leaf in both engines
+ARM_FILE = "arm.toml"
+BARE = (
+    "the file gives no motor inertia (armature) and no friction for any joint: light joints are accelerated as no real one "
+    "is, and faults may throw the arm; give both in the file or in an arm.toml"
+)
+NOT_NEGATIVE = ("armature", "damping_positive", "damping_negative", "coulomb_positive", "coulomb_negative")
+POSITIVE = ("torque_limit", "speed_limit")
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Link:
-    """One hinge and what it carries, in the frame at the hinge whose z axis is the hinge."""
+class Source(NamedTuple):
+    """What a robot was read from."""
 
-    rotation: np.ndarray  # [3, 3] this frame at zero angle, in the frame of the hinge before
-    offset: np.ndarray  # [3] m, this origin in the frame of the hinge before
-    mass: float  # kg
-    moment: np.ndarray  # [3] kg m, mass times centre of mass
-    inertia: np.ndarray  # [3, 3] kg m^2, about this origin
+    path: Path  # the MJCF or URDF file
+    tip: str | None
+    lock: tuple[tuple[str, float], ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Robot:
-    """A serial arm of n hinges. Static: hashed and compared by what it was compiled from."""
+    """A serial arm of n hinges. Static: hashed and compared by its numbers."""
 
     name: str
-    mjcf: str
-    mj_model: mujoco.MjModel = dataclasses.field(repr=False)
+    mj_model: mujoco.MjModel = dataclasses.field(repr=False)  # the chain alone, a body a hinge, made of the numbers below
     joint_names: tuple[str, ...]
-    links: tuple[Link, ...] = dataclasses.field(repr=False)
+    link_names: tuple[str, ...] = dataclasses.field(repr=False)  # the body that each hinge moves
+    links: tuple[Link, ...] = dataclasses.field(repr=False)  # with everything that is welded to them
     payload_link: Link = dataclasses.field(repr=False)  # one kilogram at the tool, in the frame of the last hinge
     body_link: np.ndarray = dataclasses.field(repr=False)  # [bodies] hinge that moves the body, -1 for the base
-    q_zero: np.ndarray  # [n] rad, angles at which the MJCF is drawn
+    q_zero: np.ndarray  # [n] rad, angles at which the file is drawn
+    q_low: np.ndarray  # [n] rad, range of the joint, infinite where the file gives none
+    q_high: np.ndarray  # [n] rad
     gravity: np.ndarray  # [3] m/s^2
-    armature: np.ndarray  # [n] kg m^2
-    damping: np.ndarray  # [n] N m s/rad
+    armature: np.ndarray  # [n] kg m^2, motor inertia behind its gear
+    damping_positive: np.ndarray  # [n] N m s/rad, viscous friction, speed > 0
+    damping_negative: np.ndarray  # [n] N m s/rad, speed < 0
     coulomb_positive: np.ndarray  # [n] N m, speed > 0
     coulomb_negative: np.ndarray  # [n] N m, speed < 0
     coulomb_speed: float  # rad/s, width of the tanh
     torque_limit: np.ndarray  # [n] N m, infinite where the model gives none
+    speed_limit: np.ndarray  # [n] rad/s, infinite where the model gives none
     fingerprint: str
+    tool: str = dataclasses.field(default="", repr=False)  # where a payload hangs, in words
+    notes: tuple[str, ...] = dataclasses.field(
+        default=(), repr=False
+    )  # what was welded, left out or a placeholder, a line each
+    cautions: tuple[str, ...] = dataclasses.field(default=(), repr=False)  # what makes results doubtful, a line each
+    source: Source | None = dataclasses.field(default=None, repr=False)  # None for the built-in arm
 
     @property
     def n(self) -> int:
         """Number of joints."""
         return len(self.links)
+
+    @property
+    def mjcf(self) -> str:
+        """The chain as MJCF text."""
+        return mujoco_spec(self).to_xml()
+
+    @functools.cached_property
+    def damping(self) -> np.ndarray:
+        """Viscous friction [n] N m s/rad, the mean of both directions."""
+        return 0.5 * (self.damping_positive + self.damping_negative)
+
+    def replace(self, **numbers: Any) -> Robot:
+        """The same arm with other numbers; the MuJoCo model and the fingerprint follow.
+
+        Args:
+            numbers: By field: links, armature, damping_positive, coulomb_negative, torque_limit and so on, [n] each.
+
+        Returns:
+            A new robot.
+
+        Raises:
+            ValueError: an unknown name, a wrong shape, or numbers that no arm can have.
+        """
+        given = {name: getattr(self, name) for name in _GIVEN}
+        for name in numbers:
+            checks.one_of("number of a robot", name, tuple(given))
+        tensors = tuple(caution for caution in self.cautions if caution != BARE)
+        for name, link, before in zip(self.link_names, numbers.get("links", self.links), self.links, strict=True):
+            mass, _, inertia, _ = _inertial(link)
+            text = "" if link is before else chain.oddity(mass, inertia)
+            tensors += (f"link {name!r} {text}",) if text else ()
+        return _assemble(**given | numbers, tensors=tensors)
+
+    @property
+    def frictionless(self) -> bool:
+        """Whether no joint has any friction or motor inertia."""
+        return not any(np.any(getattr(self, name)) for name in NOT_NEGATIVE)
 
     def __hash__(self) -> int:
         return hash(self.fingerprint)
@@ -61,176 +121,263 @@ class Robot:
         return isinstance(other, Robot) and other.fingerprint == self.fingerprint
 
 
-def load_robot(path: str | Path) -> Robot:
-    """Compile a serial arm of hinges from an MJCF or URDF file.
+_MADE = ("mj_model", "body_link", "fingerprint", "cautions")
+_GIVEN = tuple(field.name for field in dataclasses.fields(Robot) if field.name not in _MADE)
 
-    A site named ``tool`` says where a payload sits (otherwise the last link's origin). Joint attribute ``user`` gives the
-    Coulomb torques for positive and negative speed; without it, ``frictionloss`` serves for both.
+
+def load_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> Robot:
+    """Read a serial arm of hinges from an MJCF or URDF file, or from an arm's own file (``arm.toml``, or its folder).
+
+    Joints beyond the arm (fingers, heads, other branches, mimic joints) are welded where they stand, and their mass is
+    kept. Without ``tip`` the arm goes from the base into the branch with the most hinges and ends where the branches that
+    follow have fewer hinges than it has itself. Shapes are not opened where inertials are given, so meshes may be missing.
+    A payload hangs at ``tip``, else at a site ``tool``, a link such as ``tool0``, ``ee_link`` or ``flange``, or the last
+    link's origin. Joint attribute ``user`` of an MJCF gives the Coulomb torques for positive and negative speed; without
+    it, ``frictionloss`` serves for both. What was welded or is a placeholder stands in ``notes`` of the robot, what makes
+    results doubtful in ``cautions``; a link that no body can be is a warning, too.
+
+    Args:
+        path: The file.
+        tip: Link, site or joint at which the arm ends.
+        lock: Joints to weld and where, rad or m.
+
+    Returns:
+        The arm.
 
     Raises:
-        ValueError: the file is not a serial arm of hinges, or MuJoCo cannot compile it.
+        ValueError: the file is not a serial arm of hinges, or holds numbers that no arm can have.
     """
+    robot = read_robot(path, tip=tip, lock=lock)
+    warn(robot)
+    return robot
+
+
+def warn(robot: Robot) -> None:
+    """A warning for each link that no body can be, at the caller of the function that calls this."""
+    for caution in robot.cautions:
+        if caution != BARE:
+            warnings.warn(f"{robot.name}: {caution}", stacklevel=3)
+
+
+def read_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, float] | None = None) -> Robot:
+    """The same without warnings, for callers that print the cautions themselves."""
     path = Path(path)
+    if path.suffix == ".toml" or path.is_dir():
+        from jaxftc.robot.arm_file import read_arm
+
+        if tip is not None or lock:
+            raise ValueError(f"{path} names tip and locked joints itself; change them there, or give its model's file")
+        return read_arm(path).robot
     if not path.is_file():
         raise ValueError(f"no robot file at {path}; give an MJCF or URDF file, or 'puma560' for the built-in arm")
     try:
+        found = chain.pick(_tree(path), tip, dict(lock or {}))
+        return _from_chain(path.stem, found, Source(path, tip, tuple((lock or {}).items())))
+    except ValueError as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def compile_robot(name: str, text: str) -> Robot:
+    """The arm of MJCF text."""
+    try:
+        return _from_chain(name, chain.pick(mjcf.read(mujoco.MjSpec.from_string(text))), None)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def _tree(path: Path) -> Tree:
+    """What the file says, by what it is: its root element, not its name."""
+    root = urdf.parse(path.read_bytes())
+    if root.tag == "robot":
+        return urdf.read(root)
+    if root.tag == "sdf":
+        raise ValueError("is SDF, which is not read here; give the robot's URDF, or convert it to MJCF")
+    if root.tag != "mujoco":
+        raise ValueError(f"begins with <{root.tag}>; an MJCF begins with <mujoco>, a URDF with <robot>")
+    try:
         spec = mujoco.MjSpec.from_file(str(path))
     except ValueError as error:
-        raise ValueError(f"{path} does not compile: {error}") from error
-    return _from_spec(path.stem, spec, None)
+        raise ValueError(f"does not compile: {error}") from error
+    return mjcf.read(spec)
 
 
-def compile_robot(name: str, mjcf: str, amend: Callable[[mujoco.MjModel], None] | None = None) -> Robot:
-    """Compile MJCF text; ``amend`` may overwrite constants that the compiler refuses."""
-    return _from_spec(name, mujoco.MjSpec.from_string(mjcf), amend)
+def _from_chain(name: str, found: Chain, source: Source | None) -> Robot:
+    joints = found.joints
 
+    def column(values: Any) -> np.ndarray:
+        return np.array(list(values), float)
 
-def _from_spec(name: str, spec: mujoco.MjSpec, amend: Callable[[mujoco.MjModel], None] | None) -> Robot:
-    _add_payload(spec, name)
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    spec.compiler.fusestatic = False  # URDF would fuse the payload's body into its parent
-    for geom in spec.geoms:  # MJX refuses pairs of shapes that it cannot collide, contacts or not
-        geom.contype = geom.conaffinity = 0
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise ValueError(f"{name} does not compile: {error}") from error
-    if amend is not None:
-        amend(model)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
-    body_link = _serial_order(name, model)
-    links, payload_link = _links(model, body_link)
-    positive, negative = _coulomb(model)
-    limit = _torque_limit(model)
-    constants = [model.qpos0, model.opt.gravity, model.dof_armature, model.dof_damping, positive, negative, limit]
-    constants += [getattr(link, f.name) for link in (*links, payload_link) for f in dataclasses.fields(Link)]
-    digest = hashlib.sha256(repr([(np.round(np.ravel(c), 9) + 0.0).tolist() for c in constants]).encode())
-    return Robot(
+    return _assemble(
         name=name,
-        mjcf=spec.to_xml(),
-        mj_model=model,
-        joint_names=tuple(model.joint(j).name or f"joint{j + 1}" for j in range(model.njnt)),
-        links=links,
-        payload_link=payload_link,
-        body_link=body_link,
-        q_zero=model.qpos0.copy(),
-        gravity=model.opt.gravity.copy(),
-        armature=model.dof_armature.copy(),
-        damping=np.asarray(model.dof_damping, float).copy(),
-        coulomb_positive=positive,
-        coulomb_negative=negative,
+        joint_names=tuple(joint.name for joint in joints),
+        link_names=found.names,
+        links=found.links,
+        payload_link=found.payload,
+        q_zero=column(joint.zero for joint in joints),
+        q_low=column(joint.low for joint in joints),
+        q_high=column(joint.high for joint in joints),
+        gravity=found.gravity,
+        armature=column(joint.armature for joint in joints),
+        damping_positive=column(joint.damping for joint in joints),
+        damping_negative=column(joint.damping for joint in joints),
+        coulomb_positive=column(joint.coulomb[0] for joint in joints),
+        coulomb_negative=column(joint.coulomb[1] for joint in joints),
         coulomb_speed=0.05,
-        torque_limit=limit,
-        fingerprint=digest.hexdigest()[:16],
+        torque_limit=column(joint.torque_limit for joint in joints),
+        speed_limit=column(joint.speed_limit for joint in joints),
+        tool=found.tool,
+        notes=found.notes,
+        source=source,
+        tensors=found.cautions,
     )
 
 
-def _add_payload(spec: mujoco.MjSpec, name: str) -> None:
-    moving = [body for body in spec.bodies if body.joints]
-    if not moving:
-        raise ValueError(f"{name} has no joint; a serial arm of at least one hinge is needed")
-    parent, position = moving[-1], np.zeros(3)
-    site = next((s for s in spec.sites if s.name == "tool"), None)
-    if site is not None:  # compiled, because the site may be drawn in a frame of its own
-        parent, position = site.parent, spec.compile().site("tool").pos.copy()
-    parent.add_body(name=PAYLOAD, pos=position, ipos=np.zeros(3), explicitinertial=True)
+def _assemble(*, tensors: tuple[str, ...], **given: Any) -> Robot:
+    """The robot of its numbers, checked, with what is made of them."""
+    for name in (*NOT_NEGATIVE, *POSITIVE, "q_zero", "q_low", "q_high"):
+        given[name] = _checked(name, given[name], given["joint_names"])
+    checks.finite("gravity", given["gravity"], "it is in m/s^2, such as 0 0 -9.81")
+    _refuse_singular(given, tensors)
+    robot = Robot(**given, mj_model=None, body_link=np.zeros(0), fingerprint=_fingerprint(given))  # pyright: ignore[reportArgumentType]
+    bare = (BARE,) if robot.frictionless else ()
+    body_link = np.concatenate([[-1], np.arange(robot.n), [robot.n - 1]]).astype(np.int32)
+    made = {"mj_model": _mujoco(robot), "body_link": body_link, "cautions": (*tensors, *bare)}
+    return dataclasses.replace(robot, **made)
 
 
-def _serial_order(name: str, model: mujoco.MjModel) -> np.ndarray:
-    """Hinge index per body; refuses anything but one chain of hinges."""
-    if np.any(model.jnt_stiffness) or np.any(model.body_gravcomp):
+def _checked(name: str, values: Any, joints: tuple[str, ...]) -> np.ndarray:
+    """Numbers of all joints, or a refusal with the joint's name."""
+    array = np.array(values, float)
+    if array.shape != (len(joints),):
+        raise ValueError(f"{name} must have shape [{len(joints)}], a number a joint, got {list(array.shape)}")
+    good = ~np.isnan(array) if name in (*POSITIVE, "q_low", "q_high") else np.isfinite(array)
+    good &= array >= 0 if name in NOT_NEGATIVE else array > 0 if name in POSITIVE else True
+    if not good.all():
+        j = int(np.argmin(good))
+        rule = "finite and not negative" if name in NOT_NEGATIVE else "above zero" if name in POSITIVE else "a number"
+        raise ValueError(f"{name} of joint {joints[j]!r} must be {rule}, got {array[j]:g}")
+    array.setflags(write=False)
+    return array
+
+
+def _refuse_singular(given: dict[str, Any], tensors: tuple[str, ...]) -> None:
+    """Refuse an arm whose inertia matrix is not positive definite, and name the links that no body can be."""
+    low, high = (np.where(np.isfinite(given[k]), given[k], s * np.pi) for k, s in (("q_low", -1), ("q_high", 1)))
+    q = np.random.default_rng(0).uniform(np.minimum(low, high), np.maximum(low, high), (64, len(low)))
+    matrices = mass_matrices(given["links"], q - given["q_zero"]) + np.diag(given["armature"])
+    diagonal = np.diagonal(matrices, axis1=1, axis2=2)
+    names, joints = given["link_names"], given["joint_names"]
+    empty = [repr(names[j]) for j, link in enumerate(given["links"]) if not link.mass and not link.inertia.any()]
+    blame = [f"without mass (0 kg) move the links {', '.join(empty)}"] * bool(empty) + list(tensors)
+    if diagonal.min() <= 1e-12:
+        j = int(np.argmin(diagonal.min(0)))
+        blame.append(f"joint {joints[j]!r} moves an inertia of {diagonal.min():.3g} kg m^2, which must be above zero")
         raise ValueError(
-            f"{name}: joint stiffness and gravcomp are not modelled here; remove them, or add their torque to the command"
+            f"{'; '.join(blame)}; give link {names[j]!r} and what follows mass and inertia, or the joint an armature"
         )
-    if model.opt.density or model.opt.viscosity:
-        raise ValueError(f"{name}: air or water (option density, viscosity) is not modelled here; remove it")
-    for j in range(model.njnt):
-        if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_HINGE:
-            kind = mujoco.mjtJoint(model.jnt_type[j]).name.removeprefix("mjJNT_").lower()
-            raise ValueError(
-                f"{name}: joint {model.joint(j).name!r} is a {kind} joint; only hinges are supported, "
-                "so weld the base to the world and replace other joints"
-            )
-    body_link = np.full(model.nbody, -1, np.int32)
-    for body in range(1, model.nbody):
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        above = body_link[model.body_parentid[body]]
-        if count and first != above + 1:
-            raise ValueError(
-                f"{name}: body {model.body(body).name!r} branches off; only one serial chain is supported, "
-                "so remove or weld the joints of the other branch"
-            )
-        body_link[body] = first + count - 1 if count else above
-    if body_link[model.body(PAYLOAD).id] != model.njnt - 1:
-        raise ValueError(f"{name}: the site 'tool' must sit on the last link, where a payload hangs; move it there")
-    return body_link
+    scale = np.sqrt(diagonal)
+    least = np.linalg.eigvalsh(matrices / scale[:, :, None] / scale[:, None, :]).min()
+    if least < 1e-9:
+        blame.append(
+            f"the inertia matrix M(q) has the eigenvalue {least:.3g} of its diagonal's size, which must be above zero"
+        )
+        raise ValueError(f"{'; '.join(blame)}; check the masses and inertias")
 
 
-def _axis_frame(axis: np.ndarray) -> np.ndarray:
-    """A rotation whose third column is ``axis``; exact permutations where the axis is a coordinate axis."""
-    axis = axis / np.linalg.norm(axis)
-    other = np.roll(np.eye(3)[np.argmax(np.abs(axis))], 1)
-    first = other - axis * (other @ axis)
-    first /= np.linalg.norm(first)
-    return np.column_stack([first, np.cross(axis, first), axis])
+def mass_matrices(links: tuple[Link, ...], q: np.ndarray) -> np.ndarray:
+    """M [k, n, n] of the links alone at angles [k, n] from where they are drawn, by their Jacobians; for checks."""
+    k, n = q.shape
+    matrices, turn = np.zeros((k, n, n)), np.broadcast_to(np.eye(3), (k, 3, 3))
+    origin, axes, origins = np.zeros((k, 3)), np.zeros((k, 3, n)), np.zeros((k, 3, n))
+    for j, link in enumerate(links):
+        origin = origin + turn @ link.offset
+        c, s, zero, one = np.cos(q[:, j]), np.sin(q[:, j]), np.zeros(k), np.ones(k)
+        about_z = np.stack([c, -s, zero, s, c, zero, zero, zero, one], axis=-1).reshape(k, 3, 3)
+        turn = turn @ link.rotation @ about_z
+        axes[:, :, j], origins[:, :, j] = turn[:, :, 2], origin
+        speed = np.cross(axes, origin[:, :, None] - origins, axis=1)
+        speed[:, :, j + 1 :] = 0.0
+        h, inertia = turn @ link.moment, turn @ link.inertia @ turn.transpose(0, 2, 1)
+        swing = np.cross(axes, np.broadcast_to(h[:, :, None], axes.shape), axis=1)
+        flip = lambda m: m.transpose(0, 2, 1)  # noqa: E731
+        coupling = flip(speed) @ swing
+        matrices = matrices + link.mass * flip(speed) @ speed + coupling + flip(coupling) + flip(axes) @ inertia @ axes
+    return matrices
 
 
-def _links(model: mujoco.MjModel, body_link: np.ndarray) -> tuple[tuple[Link, ...], Link]:
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    frames = [data.xmat[model.jnt_bodyid[j]].reshape(3, 3) @ _axis_frame(model.jnt_axis[j]) for j in range(model.njnt)]
-    links, before, origin = [], np.eye(3), np.zeros(3)
-    for j in range(model.njnt):
-        mass, moment, inertia = 0.0, np.zeros(3), np.zeros((3, 3))
-        for body in np.flatnonzero(body_link == j):
-            axes = frames[j].T @ data.ximat[body].reshape(3, 3)
-            com = frames[j].T @ (data.xipos[body] - data.xanchor[j])
-            part = float(model.body_mass[body])
-            mass, moment = mass + part, moment + part * com
-            inertia = inertia + axes @ np.diag(model.body_inertia[body]) @ axes.T + part * _point_inertia(com)
-        offset = before.T @ (data.xanchor[j] - origin)
-        links.append(Link(_clean(before.T @ frames[j]), _clean(offset), mass, _clean(moment), _clean(inertia)))
-        before, origin = frames[j], data.xanchor[j]
-    tool = before.T @ (data.xipos[model.body(PAYLOAD).id] - origin)
-    return tuple(links), Link(np.eye(3), np.zeros(3), 1.0, _clean(tool), _clean(_point_inertia(tool)))
+def _fingerprint(given: dict[str, Any]) -> str:
+    """Of every number that a compiled program may hold; what an arm may lack counts only where it is given."""
+    links = (*given["links"], given["payload_link"])
+    damping = 0.5 * (given["damping_positive"] + given["damping_negative"])
+    constants = [given["q_zero"], given["gravity"], given["armature"], damping]
+    constants += [given["coulomb_positive"], given["coulomb_negative"], given["torque_limit"]]
+    constants += [getattr(link, field.name) for link in links for field in dataclasses.fields(Link)]
+    if not np.array_equal(given["damping_positive"], given["damping_negative"]):
+        constants.append(given["damping_positive"])
+    if np.isfinite([given["q_low"], given["q_high"]]).any():
+        constants += [given["q_low"], given["q_high"]]
+    rounded = [(np.round(np.ravel(c), 9) + 0.0).tolist() for c in constants]
+    return hashlib.sha256(repr(rounded).encode()).hexdigest()[:16]
 
 
-def _point_inertia(position: np.ndarray) -> np.ndarray:
-    """Inertia of one kilogram at ``position`` about the origin."""
-    return position @ position * np.eye(3) - np.outer(position, position)
+def _mujoco(robot: Robot) -> mujoco.MjModel:
+    """The compiled model; a link that no body can be is refused by the compiler, so it is written over another."""
+    model = mujoco_spec(robot).compile()
+    odd = [(j, *inertial[:3]) for j, inertial in enumerate(map(_inertial, robot.links)) if not inertial[3]]
+    for j, mass, com, inertia in odd:
+        moments, axes = np.linalg.eigh(inertia)
+        axes = axes * np.array([1.0, 1.0, np.sign(np.linalg.det(axes))])
+        model.body_mass[j + 1], model.body_ipos[j + 1], model.body_inertia[j + 1] = mass, com, moments
+        model.body_iquat[j + 1] = _quaternion(axes)
+    if odd:
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model
 
 
-def _clean(values: np.ndarray) -> np.ndarray:
-    """Rounding dust to exact 0 and +-1, so that the unrolled chain can leave out what it multiplies by them."""
-    values = np.where(np.abs(values) < 1e-14, 0.0, values)
-    return np.where(np.abs(np.abs(values) - 1) < 1e-14, np.sign(values), values)
+def mujoco_spec(robot: Robot) -> mujoco.MjSpec:
+    """A body and a motor for each hinge, the site ``tool`` and the payload's body at the tool."""
+    spec = mujoco.MjSpec()
+    spec.modelname, spec.compiler.degree, spec.option.gravity = robot.name, False, robot.gravity
+    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    body = spec.worldbody
+    for j, link in enumerate(robot.links):
+        mass, com, inertia, legal = _inertial(link)
+        full = inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
+        inertial = {"fullinertia": full} if legal else {"inertia": np.full(3, 1e-3)}
+        inertial |= {"mass": mass if mass > 1e-12 else 1.0, "ipos": com}
+        body = body.add_body(
+            name=robot.link_names[j], pos=link.offset, quat=_quaternion(link.rotation), explicitinertial=True, **inertial
+        )
+        joint = body.add_joint(
+            name=robot.joint_names[j],
+            axis=(0, 0, 1),
+            ref=robot.q_zero[j],
+            armature=robot.armature[j],
+            frictionloss=0.5 * (robot.coulomb_positive[j] + robot.coulomb_negative[j]),
+        )
+        joint.damping[0] = robot.damping[j]
+        if np.isfinite([robot.q_low[j], robot.q_high[j]]).all():
+            joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, (robot.q_low[j], robot.q_high[j])
+        motor = spec.add_actuator(target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        motor.set_to_motor()
+        if np.isfinite(robot.torque_limit[j]):
+            motor.ctrllimited = mujoco.mjtLimited.mjLIMITED_TRUE
+            motor.ctrlrange = (-robot.torque_limit[j], robot.torque_limit[j])
+    body.add_body(name=PAYLOAD, pos=robot.payload_link.moment, ipos=np.zeros(3), explicitinertial=True)
+    body.add_site(name=chain.TOOL, pos=robot.payload_link.moment, quat=_quaternion(robot.payload_link.rotation))
+    return spec
 
 
-def _coulomb(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    if model.nuser_jnt >= 2:
-        return model.jnt_user[:, 0].copy(), model.jnt_user[:, 1].copy()
-    return model.dof_frictionloss.copy(), model.dof_frictionloss.copy()
+def _inertial(link: Link) -> tuple[float, np.ndarray, np.ndarray, bool]:
+    """Mass, centre, inertia [3, 3] about it, and whether MuJoCo's compiler takes them."""
+    com = link.moment / link.mass if link.mass else np.zeros(3)
+    inertia = link.inertia - link.mass * point_inertia(com)
+    moments = np.linalg.eigvalsh(inertia)
+    return link.mass, com, inertia, bool(link.mass > 1e-12 and moments[0] > 1e-14 and moments[0] + moments[1] >= moments[2])
 
 
-def _torque_limit(model: mujoco.MjModel) -> np.ndarray:
-    """Largest torque per joint from the joint's own force range and its actuators'; infinite where none is given.
-
-    An actuator's force range counts, and for a plain motor its control range too (of a servo that is an angle). Of an
-    asymmetric range the smaller side counts.
-    """
-    limit = np.full(model.njnt, np.inf)
-    for j in range(model.njnt):
-        if model.jnt_actfrclimited[j]:
-            limit[j] = np.abs(model.jnt_actfrcrange[j]).min()
-    for a in range(model.nu):
-        if model.actuator_trntype[a] != mujoco.mjtTrn.mjTRN_JOINT:
-            continue
-        j, gear = int(model.actuator_trnid[a, 0]), abs(model.actuator_gear[a, 0])
-        is_motor = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_NONE
-        if model.actuator_forcelimited[a]:
-            limit[j] = min(limit[j], gear * np.abs(model.actuator_forcerange[a]).min())
-        if model.actuator_ctrllimited[a] and is_motor:
-            gain = gear * abs(model.actuator_gainprm[a, 0])
-            limit[j] = min(limit[j], gain * np.abs(model.actuator_ctrlrange[a]).min())
-    return limit
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    found = np.zeros(4)
+    mujoco.mju_mat2Quat(found, np.ravel(rotation))
+    return found

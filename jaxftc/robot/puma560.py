@@ -1,16 +1,15 @@
 """The PUMA 560: its numbers, and the MJCF made of them.
 
 Standard Denavit-Hartenberg parameters, masses, inertias, motors and friction after Corke and Armstrong-Helouvry,
-"A search for consensus among model parameters reported for the PUMA 560 robot" (1994). Two entries need care, because
-MuJoCo refuses them: link 1 has no mass of its own, so its inertia about the joint goes into that joint's armature; link 3
-breaks the triangle inequality of principal inertias, so it is compiled with a legal tensor and the true one written over it.
+"A search for consensus among model parameters reported for the PUMA 560 robot" (1994). Link 1 has no mass of its own, so its
+inertia about the joint goes into that joint's armature. Link 3 breaks the triangle inequality of principal inertias, as
+published; ``model`` carries it as it is.
 """
 
 from __future__ import annotations
 
 import functools
 
-import mujoco
 import numpy as np
 
 from jaxftc.robot.model import Robot, compile_robot
@@ -35,7 +34,6 @@ INERTIA = (  # kg m^2, principal, at the centre of mass, in the link frame
     (0.3e-3, 0.4e-3, 0.3e-3),
     (0.15e-3, 0.15e-3, 0.04e-3),
 )
-LINK3_LEGAL = (0.066, 0.0785, 0.0125)  # kg m^2, what the compiler accepts for link 3
 MOTOR_INERTIA = (200e-6, 200e-6, 200e-6, 33e-6, 33e-6, 33e-6)  # kg m^2
 GEAR = (62.6111, 107.815, 53.7063, 76.0364, 71.923, 76.686)
 MOTOR_DAMPING = (1.48e-3, 0.817e-3, 1.38e-3, 71.2e-6, 82.6e-6, 36.7e-6)  # N m s/rad
@@ -75,7 +73,7 @@ def mjcf(*, coulomb: bool = True) -> str:
     for i in range(6):
         turn, offset = _rotation_x(ALPHA[i]), np.array([A[i], 0.0, D[i]])
         mass, com, armature = MASS[i], offset + turn @ np.array(COM[i]), GEAR[i] ** 2 * MOTOR_INERTIA[i]
-        inertia = _link_inertia(i, INERTIA[i] if i != 2 else LINK3_LEGAL)
+        inertia = _link_inertia(i, INERTIA[i])
         if i == 0:  # only the inertia about the joint acts; it moves into the armature
             mass, com, armature, inertia = 1e-6, np.zeros(3), armature + INERTIA[0][1], 1e-6 * np.eye(3)
         friction = np.array([COULOMB_POSITIVE[i], COULOMB_NEGATIVE[i]]) * GEAR[i] * coulomb
@@ -98,17 +96,8 @@ def mjcf(*, coulomb: bool = True) -> str:
     return _HEAD + "".join(links) + closing + tail
 
 
-def _restore_link3(model: mujoco.MjModel) -> None:
-    """Write the true inertia of link 3 over the legal one that was compiled."""
-    body = model.body("link3").id
-    frame = np.zeros(9)
-    mujoco.mju_quat2Mat(frame, model.body_iquat[body])
-    axes = frame.reshape(3, 3)
-    model.body_inertia[body] = np.diag(axes.T @ _link_inertia(2, INERTIA[2]) @ axes)
-
-
 @functools.cache
 def puma560(*, coulomb: bool = True) -> Robot:
     """The PUMA 560. ``coulomb=False`` is the arm of the paper's conditions: viscous friction only, in plant and model."""
     name = "puma560" if coulomb else "puma560 without Coulomb friction"
-    return compile_robot(name, mjcf(coulomb=coulomb), amend=_restore_link3)
+    return compile_robot(name, mjcf(coulomb=coulomb))

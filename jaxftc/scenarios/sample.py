@@ -25,6 +25,7 @@ from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.preset_kinds import UNITS, ActuatorFaults, SensorFaults, Signed, Sized, kinds
+from jaxftc.scenarios.reference import within_range
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
 from jaxftc.scenarios.uniforms import UniformStream
 from jaxftc.types import Array
@@ -77,7 +78,7 @@ def check_arm(preset: Preset, config: Config, name: str) -> None:
     if by_limit and not np.isfinite(config.robot.torque_limit[_allowed(preset, config)]).all():
         raise ValueError(
             f"{name} sizes faults by torque limits, {config.robot.name!r} has "
-            f"{config.robot.torque_limit.tolist()} N m; give every joint a motor with a ctrlrange, "
+            f"{config.robot.torque_limit.tolist()} N m; give every joint torque_limit_nm in an arm.toml (or in the file), "
             'take a preset without saturation and with actuator.bias.unit = "N m", or build Scenario yourself'
         )
 
@@ -100,6 +101,7 @@ def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scen
     condition = jnp.searchsorted(_bounds(preset), stream.number(), side="right")
     q_start = paper_motion(config)[0] + stream(scaled(preset.motion.start_deg, DEG), (n,))
     q_goal = q_start + stream(scaled(preset.motion.travel_deg, DEG), (n,))
+    q_start, q_goal = within_range(config.robot, q_start, q_goal)
     law = _times(preset.times, stream)
     torque = _actuator(preset.actuator, config, stream)
     beside = preset.sensor if preset.sensor_in_both is None else preset.sensor_in_both

@@ -20,7 +20,7 @@ from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant, nominal_plant
 from jaxftc.scenarios import builders
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
-from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START
+from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START, within_range
 from jaxftc.types import Array
 
 CONDITIONS = ("healthy", "actuator", "sensor", "both")
@@ -64,8 +64,9 @@ def healthy_scenario(
 
     Args:
         config: The arm and how it is run.
-        q_start: [n] rad, where the motion starts; the paper's, or the zero position of an arm that has not six joints.
-        q_goal: [n] rad, where it ends; the paper's, or one radian from the zero position.
+        q_start: [n] rad, where the motion starts; the paper's, or the zero position of an arm that has not six joints, moved
+            into the joints' ranges.
+        q_goal: [n] rad, where it ends; the paper's, or one radian from the zero position, moved into the ranges.
         noise: Standard deviation of the encoders, rad.
         scenario_id: The encoders' noise depends on the key and on this number.
 
@@ -106,6 +107,7 @@ def paper_scenario(
 
     The plant is the robot as the config has it: for the paper's arm, without Coulomb friction, give puma560(coulomb=False).
     An arm that does not have six joints moves each by one radian from its zero position instead of the paper's motion.
+    Either motion is moved into the ranges of the arm's joints.
 
     Raises:
         ValueError: an unknown condition.
@@ -125,10 +127,10 @@ def paper_scenario(
 
 
 def paper_motion(config: Config) -> tuple[Array, Array]:
-    """Start and goal [n] rad: the paper's for six joints, otherwise one radian from the zero position."""
-    if config.n == len(PAPER_START):
-        return jnp.asarray(PAPER_START, float), jnp.asarray(PAPER_GOAL, float)
-    return jnp.asarray(config.robot.q_zero, float), jnp.asarray(config.robot.q_zero + 1.0, float)
+    """Start and goal [n] rad: the paper's for six joints, otherwise one radian from the zero position; within the ranges."""
+    six = config.n == len(PAPER_START)
+    start, goal = (PAPER_START, PAPER_GOAL) if six else (config.robot.q_zero, config.robot.q_zero + 1.0)
+    return within_range(config.robot, jnp.asarray(start, float), jnp.asarray(goal, float))
 
 
 def stack(scenarios: list[Scenario]) -> Scenario:

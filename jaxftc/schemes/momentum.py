@@ -101,7 +101,7 @@ def momentum(robot: Robot, q: Array, qd: Array) -> tuple[Array, Array]:
 
     p, turning = jax.jvp(of_links, (q,), (qd,))  # M qd, M' qd
     bias = rigid_body.newton_euler(robot, links, rigid_body.pose(robot, q), unstack(qd), None)  # C qd + g
-    friction = lanes.trailing_constant(robot.damping, qd) * qd + dynamics.coulomb(robot, qd)
+    friction = dynamics.viscous(robot, qd) + dynamics.coulomb(robot, qd)
     drift = turning - lanes.stack(bias, qd) - friction
     return p + lanes.trailing_constant(robot.armature, qd) * qd, drift
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 
@@ -26,8 +24,8 @@ AZIMUTH, ELEVATION = 135.0, -14.0  # deg
 class Scene:
     """One replay on stage: ``data`` is the arm, ``ghost`` the same ``model`` at the reference."""
 
-    def __init__(self, robot: Robot, replay: Replay, source: Path | None = None) -> None:
-        """Build it, at the first tick; ``source`` is the robot's own file, where it is not built in.
+    def __init__(self, robot: Robot, replay: Replay) -> None:
+        """Build it, at the first tick.
 
         Raises:
             ValueError: the joints of the replay are not the robot's.
@@ -38,7 +36,7 @@ class Scene:
                 "give the robot it was made with as --robot FILE"
             )
         self.replay = replay
-        self.model, self._tinted = stage.build(robot, source)
+        self.model, self._tinted = stage.build(robot)
         self.data, self.ghost = mujoco.MjData(self.model), mujoco.MjData(self.model)
         self._plain = self.model.geom_rgba.copy(), self.model.geom_matid.copy()
         self._states = replay.states

@@ -1,18 +1,19 @@
-"""The model that is drawn: the robot's MJCF compiled once more with shapes, floor, light and background.
+"""The model that is drawn: the robot's own file compiled once more with shapes, floor, light and background.
 
-``Robot.mj_model`` stays without them: MJX would carry every shape through its kinematics. Shapes that the MJCF has itself
-are used; only links without one, or the whole arm if there is none, are dressed by ``looks``.
+``Robot.mj_model`` stays without them: MJX would carry every shape through its kinematics. Shapes that the file has itself
+are used, joints that are welded stand as it draws them; only links without one, or the whole arm if there is none, are
+dressed by ``looks``.
 """
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from jaxftc.robot.model import Robot
+from jaxftc.robot import mjcf
+from jaxftc.robot.model import Robot, mujoco_spec
 from jaxftc.robot.puma560 import puma560
 from jaxftc.view import looks
 from jaxftc.view.looks import Colour, Part
@@ -33,13 +34,9 @@ class Stage(NamedTuple):
     tinted: tuple[np.ndarray, ...]  # by joint, the geoms that take its colour
 
 
-def build(robot: Robot, source: Path | None = None) -> Stage:
-    """The model of a robot to look at; of a robot from a file, ``source``, because its meshes are found from there."""
-    spec = mujoco.MjSpec.from_file(str(source)) if source is not None else mujoco.MjSpec.from_string(robot.mjcf)
-    spec.compiler.discardvisual = spec.compiler.fusestatic = False  # true for a URDF, and would drop what is added here
-    for number, body in enumerate(spec.bodies):
-        body.name = body.name or f"jaxftc_body{number}"
-    bare = spec.compile()
+def build(robot: Robot) -> Stage:
+    """The model of a robot to look at: its own file's shapes, or where that does not compile, its joints and links alone."""
+    spec, bare = _drawn(robot)
     bodies, parts = {body.name: body for body in spec.bodies}, _parts(robot, bare)
     base = int(bare.body_parentid[bare.jnt_bodyid[0]])
     for number, part in enumerate(parts):
@@ -48,6 +45,33 @@ def build(robot: Robot, source: Path | None = None) -> Stage:
     _furnish(spec, bare)
     model = spec.compile()
     return Stage(model, _tinted(model, parts))
+
+
+def _drawn(robot: Robot) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """The robot's file with the arm's joints alone, compiled; the bare chain where the file lacks its meshes."""
+    if robot.source is not None:
+        try:
+            spec = mujoco.MjSpec.from_file(str(robot.source.path))
+            mjcf.name_all(spec)
+            for kind in (*mjcf.IDLE, "actuators"):
+                for element in [] if kind in ("cameras", "lights") else list(getattr(spec, kind)):
+                    spec.delete(element)
+            for joint in list(spec.joints):
+                if joint.name not in robot.joint_names:
+                    spec.delete(joint)
+            return spec, _compiled(spec, robot)
+        except ValueError:
+            pass
+    spec = mujoco_spec(robot)
+    return spec, _compiled(spec, robot)
+
+
+def _compiled(spec: mujoco.MjSpec, robot: Robot) -> mujoco.MjModel:
+    spec.compiler.discardvisual = spec.compiler.fusestatic = False  # true for a URDF, and would drop what is added here
+    model = spec.compile()
+    if model.njnt != robot.n:
+        raise ValueError("another arm")
+    return model
 
 
 def _parts(robot: Robot, bare: mujoco.MjModel) -> tuple[Part, ...]:

@@ -1,0 +1,159 @@
+"""``jaxftc identify``: the physical model of an arm from logs, or how well a model explains them."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxftc.cli import common
+
+if TYPE_CHECKING:
+    from jaxftc.identify.dynamics import Identified, Share
+    from jaxftc.logs import Log
+
+
+@dataclasses.dataclass
+class LogOptions:
+    """How logs are read."""
+
+    columns: tuple[str, ...] = ()
+    """Columns by our name, where they are not found: t=stamp q1=pos_a tau1=-torque_a; a minus turns the sign round."""
+    dt: float | None = None
+    """Sample time in s; the log's own if not given. A log without time must have it."""
+    torque_per_ampere: tuple[float, ...] = ()
+    """N m for one ampere where currents were recorded: one number, or one a joint."""
+    degrees: bool | None = None
+    """Angles are in degrees; found out if not given."""
+    check: bool = True
+    """Hold the columns against the model."""
+
+
+def read_logs(options: Any, paths: tuple[Path, ...], arm: Any) -> list[Log]:
+    """Logs with the options of the command; what was found in each is said."""
+    from jaxftc import logs
+
+    given = {}
+    for pair in options.columns:
+        key, mark, name = pair.partition("=")
+        if not mark or not name:
+            raise ValueError(f"--columns takes pairs such as q1=position_1, got {pair!r}")
+        given[key] = name
+    found = []
+    for path in paths:
+        log = logs.read(
+            path,
+            arm,
+            columns=given or None,
+            dt=options.dt,
+            degrees=options.degrees,
+            torque_per_ampere=options.torque_per_ampere or None,
+            check=options.check,
+        )
+        for note in log.notes:
+            common.say(options, f"{path.name}: {note}")
+        found.append(log)
+    return found
+
+
+@dataclasses.dataclass
+class Identify(LogOptions):
+    """Fit the physical model of an arm to logs of it: links, motor inertia, friction, torque offset, and gain for currents.
+
+    Writes arm.toml, which --robot takes, result.json and report.html. Healthy logs, with every joint in motion.
+    """
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Logs: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
+    robot: str = "puma560"
+    """The arm's file: MJCF, URDF, arm.toml or its folder."""
+    judge: bool = False
+    """Fit nothing: only say how well the model explains the logs."""
+    out: Path | None = None
+    """Folder for the results; runs/identify-<n> if not given."""
+    json: bool = False
+    """Print one JSON object on stdout and nothing else there."""
+    cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
+    """Keep compiled programs between runs, in the user's cache folder."""
+
+    def run(self) -> None:
+        """Read, fit or judge, write."""
+        if not self.logs:
+            raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
+        common.prepare(self)
+        arm = common.arm_of(self)
+        found = read_logs(self, self.logs, arm)
+        folder = common.make_folder(self, "identify")
+        record = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
+        record = {"sample_time_s": found[0].dt} | record | {"logs": [str(path) for path in self.logs], "robot": self.robot}
+        text = common.write_json(folder / "result.json", record)
+        common.say(self, f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}")
+        if self.json:
+            print(text)
+
+    def _judge(self, arm: Any, logs: list[Log]) -> dict[str, Any]:
+        from jaxftc.identify import judge
+
+        held = judge(arm.robot, logs)
+        common.say(self, share_lines(held, arm.robot.joint_names, judged=True))
+        return {"held_out": as_json(held), "parameters": []}
+
+    def _fit(self, arm: Any, logs: list[Log], folder: Path) -> dict[str, Any]:
+        from jaxftc.identify import dynamics, identifiable
+        from jaxftc.identify.arm import identified_arm, save
+        from jaxftc.io.files import write_text
+        from jaxftc.report.identify import identify_page
+
+        shown = identifiable(arm.robot, logs)
+        common.say(self, shown_lines(shown, arm.robot.joint_names))
+        found = dynamics(arm.robot, logs)
+        for note in found.notes:
+            common.say(self, note)
+        common.say(self, share_lines(found.held_out, arm.robot.joint_names, judged=False))
+        save(folder, identified_arm(arm, found, logs[0].dt))
+        write_text(folder / "report.html", identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}"))
+        return {
+            "held_out": as_json(found.held_out),
+            "parameters": [p._asdict() for p in found.parameters],
+            "torque_gain": found.gain.tolist(),
+            "torque_offset_nm": found.offset.tolist(),
+            "trust": found.trust,
+            "notes": [*found.notes],
+        }
+
+
+def as_json(held: Share) -> dict[str, Any]:
+    """The fixed keys."""
+    return {
+        "torque_rms_nm": held.torque.tolist(),
+        "before_rms_nm": held.before.tolist(),
+        "after_rms_nm": held.after.tolist(),
+        "share_before": held.share_before,
+        "share_after": held.share_after,
+    }
+
+
+def shown_lines(left: list[tuple[str, int]], names: tuple[str, ...]) -> str:
+    """What the motions cannot determine."""
+    if not left:
+        return "these motions show every parameter, at least in sums"
+    by_joint: dict[int, list[str]] = {}
+    for name, joint in left:
+        by_joint.setdefault(joint, []).append(name)
+    lines = [f"  {names[joint - 1]}: {', '.join(found)}" for joint, found in sorted(by_joint.items())]
+    return "\n".join(["these motions do not show, and the file's values stay for:", *lines])
+
+
+def share_lines(held: Share, names: tuple[str, ...], *, judged: bool) -> str:
+    """Torque and what is left of it, by joint."""
+    heads = ["torque, N m", "left, N m"] if judged else ["torque, N m", "left by the file", "left now"]
+    width = max(map(len, (*names, "joint")))
+    lines = [f"{'joint':{width}}" + "".join(f"{head:>18}" for head in heads)]
+    for j, name in enumerate(names):
+        values = (held.torque, held.after) if judged else (held.torque, held.before, held.after)
+        lines.append(f"{name:{width}}" + "".join(f"{value[j]:18.3g}" for value in values))
+    was = "" if judged else f", {100 * held.share_before:.1f} % before"
+    where = "of the torque" if judged else "of the torque, on parts of the logs that were not fitted"
+    return "\n".join([*lines, f"left over: {100 * held.share_after:.1f} % {where}{was}"])

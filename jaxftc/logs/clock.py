@@ -1,0 +1,141 @@
+"""Stamps of a log: their unit, the rate that it was recorded at, gaps, and rows brought to even times."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+GAP = 5  # sample times without a row that are bridged by straight lines,
+GAP_SECONDS = 0.02  # or this long, whichever is more; longer ones cut the log
+LEAST_ROWS = 20  # of a segment
+RESTART_ROWS = 50  # rows behind a backward stamp that make it a new recording
+UNITS = ((0.2, 1.0, "s"), (200.0, 1e-3, "ms"), (2e5, 1e-6, "us"), (np.inf, 1e-9, "ns"))  # median step below: the unit
+RATES = np.array([2000, 1000, 500, 400, 250, 240, 200, 150, 125, 120, 100, 80, 75, 60, 50, 40, 30, 25, 20, 15, 10.0])  # Hz
+
+
+class Rows(NamedTuple):
+    """Rows of a log in order, cut where nothing bridges them."""
+
+    kept: np.ndarray  # rows of the file that are used, from 0
+    t: np.ndarray  # s, from 0, of those
+    starts: np.ndarray  # places in ``kept`` at which a segment starts
+    dt: float  # s, the log's own sample time
+    notes: list[str]
+
+
+def seconds(stamps: np.ndarray, unit: float | str | None) -> tuple[np.ndarray, str]:
+    """Stamps as s from the first one, and what was made of their unit; NaN where a stamp is missing.
+
+    Raises:
+        ValueError: text that is no date, or a stamp that never moves.
+    """
+    if stamps.dtype.kind == "O":
+        first = next((s for s in stamps if s is not None and str(s).strip()), "")
+        try:
+            stamps = np.array([str(s).strip().rstrip("Z").replace(",", ".") if s is not None else "NaT" for s in stamps])
+            stamps = stamps.astype("datetime64[ns]")
+        except ValueError as error:
+            raise ValueError(f"must hold the time as numbers or ISO dates, got {first!r}") from error
+    if stamps.dtype.kind == "M":
+        missing = np.isnat(stamps)
+        steps = (stamps - stamps[~missing][0]).astype("timedelta64[ns]").astype(np.int64) * 1e-9
+        return np.where(missing, np.nan, steps), "time is a date"
+    start = stamps[np.isfinite(stamps)]
+    t = (stamps - start[0]).astype(float) if len(start) else stamps.astype(float)  # whole ns have more digits than a float
+    if isinstance(unit, float):
+        return t * unit, ""
+    steps = np.diff(t[np.isfinite(t)])
+    if not (steps > 0).any():
+        raise ValueError(f"must increase from row to row, it is {stamps[0]} throughout")
+    median = float(np.median(steps[steps > 0]))
+    scale, name = next((scale, name) for limit, scale, name in UNITS if median < limit)
+    return t * scale, "" if name == "s" else f"time is in {name}"
+
+
+def own_rate(t: np.ndarray) -> float:
+    """Sample time in s: the median step, or the usual rate within 2 % of it."""
+    steps = np.diff(t)
+    median = float(np.median(steps[steps > 0]))
+    usual = 1 / RATES[np.abs(RATES * median - 1).argmin()]
+    return float(usual) if abs(median / usual - 1) < 0.02 else float(f"{median:.3g}")
+
+
+def order(t: np.ndarray, whole: np.ndarray) -> Rows:
+    """The rows that count: stamps that increase, every value there; cut at gaps and where the clock starts anew.
+
+    Args:
+        t: Stamps [T] in s; NaN is a missing one.
+        whole: [T] rows in which all values are numbers.
+
+    Raises:
+        ValueError: nothing is left, or so many stamps go back that the order cannot be known.
+    """
+    notes: list[str] = []
+    usable = np.flatnonzero(whole & np.isfinite(t))
+    if len(usable) < 2:
+        raise ValueError(f"{len(usable)} of {len(t)} rows have a time and all values; record the motion again")
+    if len(usable) < len(t):
+        first = int(np.flatnonzero(~(whole & np.isfinite(t)))[0]) + 1
+        notes.append(f"{len(t) - len(usable)} rows with a missing value left out, the first is row {first}")
+        if len(usable) < 0.5 * len(t):
+            raise ValueError(f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again")
+    t = t[usable]
+    dt = own_rate(t)
+    restarts = [k for k in np.flatnonzero(np.diff(t) < -10 * dt) + 1 if (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
+    restarts = [k for k in restarts if len(t) - k >= RESTART_ROWS]
+    t = t.copy()
+    for k in restarts:
+        t[k:] += t[k - 1] - t[k] + max(1.0, 10 * GAP * dt)
+    if restarts:
+        notes.append(f"the clock starts anew at row {usable[restarts[0]] + 1}; taken as {len(restarts) + 1} recordings")
+    latest = np.maximum.accumulate(t)
+    forward = np.r_[True, t[1:] > latest[:-1]]
+    equal = np.r_[False, t[1:] == latest[:-1]]
+    back = ~forward & ~equal
+    if back.sum() > 0.1 * len(t):
+        row = int(usable[np.flatnonzero(back)[0]]) + 1
+        raise ValueError(f"the time goes back in {back.sum()} of {len(t)} rows, the first is row {row}; sort the rows by time")
+    for which, word in ((equal, "the same time as the one before"), (back, "a time before that of an earlier one")):
+        if which.any():
+            notes.append(f"{which.sum()} rows with {word} left out, the first is row {usable[np.flatnonzero(which)[0]] + 1}")
+    kept, t = usable[forward], t[forward]
+    steps = np.diff(t)
+    limit = max(GAP * dt, GAP_SECONDS)
+    cuts = np.flatnonzero(steps > limit) + 1
+    bridged = (steps > 1.9 * dt) & (steps <= limit)
+    spread = np.percentile(steps, [1, 99])
+    if spread[1] - spread[0] > 0.2 * dt:
+        notes.append(f"steps vary from {1e3 * spread[0]:.3g} to {1e3 * spread[1]:.3g} ms; resampled to {1e3 * dt:.4g} ms")
+    if bridged.any():
+        longest = 1e3 * steps[bridged].max()
+        notes.append(f"{bridged.sum()} gaps of up to {longest:.3g} ms bridged by straight lines")
+    bounds = np.r_[0, cuts, len(t)]
+    long_enough = np.diff(bounds) >= LEAST_ROWS
+    if len(cuts):
+        at = ", ".join(f"{t[c - 1]:.4g}" for c in cuts[:5]) + (" ..." if len(cuts) > 5 else "")
+        notes.append(f"cut into {long_enough.sum()} segments at gaps of more than {1e3 * limit:.3g} ms, after t = {at} s")
+    if not long_enough.any():
+        raise ValueError(f"no stretch of {LEAST_ROWS} rows is without a gap of more than {limit:.3g} s; record it again")
+    use = np.concatenate([np.arange(a, b) for a, b, ok in zip(bounds, bounds[1:], long_enough, strict=False) if ok])
+    if len(use) < len(t):
+        notes.append(f"{len(t) - len(use)} rows in stretches of fewer than {LEAST_ROWS} left out")
+    starts = np.flatnonzero(np.isin(use, bounds[:-1]))
+    return Rows(kept[use], t[use], starts, dt, notes)
+
+
+def resample(rows: Rows, values: list[np.ndarray], dt: float) -> tuple[np.ndarray, list[np.ndarray], tuple[tuple[int, int], ...]]:
+    """Times, values [T, n] at every ``dt`` by straight lines between the rows, and the segments [start, stop)."""
+    times, out, segments, length = [], [[] for _ in values], [], 0
+    for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
+        t = rows.t[start:stop]
+        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
+        grid = t[0] + dt * np.arange(ticks)
+        even = len(t) == ticks and np.allclose(t, grid, rtol=0, atol=1e-6 + 1e-3 * dt)
+        for column, value in zip(out, values, strict=True):
+            part = value[start:stop]
+            column.append(part if even else np.stack([np.interp(grid, t, c) for c in part.T], axis=1))
+        times.append(grid)
+        segments.append((length, length + ticks))
+        length += ticks
+    return np.concatenate(times), [np.concatenate(column) for column in out], tuple(segments)

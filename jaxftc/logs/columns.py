@@ -1,0 +1,190 @@
+"""Which column is which: our names, the joints' names, and how ur_rtde, libfranka, PlotJuggler and LeRobot write them.
+
+A name is a word for the quantity and a joint, in any order and with any separators: ``q1``, ``tau_elbow``, ``actual_q_0``,
+``state.q[0]``, ``/joint_states/elbow/position``, ``observation.state.0``. Words are data, below.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from jaxftc import checks
+
+ANGLE = ("q", "y", "actualq", "stateq", "qactual", "measuredq", "qmeas", "qpos", "position", "positions", "pos", "jointposition",
+         "jointpositions", "jointpos", "jointangle", "angle", "theta", "actualposition", "presentposition", "observationstate")  # fmt: skip
+TORQUE = ("tau", "torque", "effort", "efforts", "tauj", "statetauj", "taumeasured", "actualtau", "actualtorque", "jointtorque",
+          "jointtorques", "jointeffort", "actualjointtorques", "measuredtorque", "observationeffort", "observationtorque",
+          "presenttorque")  # fmt: skip
+CURRENT = ("actualcurrent", "current", "i", "currents", "jointcurrent", "motorcurrent", "presentcurrent", "measuredcurrent",
+           "observationcurrent")  # fmt: skip
+TIME = ("t", "time", "timestamp", "stamp", "seconds", "headerstamp", "times", "timestamps", "datetime")
+UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9,
+         "deg": "deg", "degrees": "deg", "rad": "rad", "nm": "N m", "a": "A", "ma": "mA"}  # fmt: skip
+_UNIT = re.compile(r"[\s_]*[\[(]\s*([A-Za-z]+)\s*[\])]$|_([A-Za-z]+)$")
+_INDEX = (
+    re.compile(r"^(.*?)[\W_]*?(?:joint|j)?[\W_]*(\d+)[\W_]*()$", re.IGNORECASE),  # q1, state.q[0], position_joint_1
+    re.compile(r"^(.*?)(?:joint|j|axis|motor)[\W_]*(\d+)[\W_]+(.*)$", re.IGNORECASE),  # joint1_position
+)
+
+
+class Columns(NamedTuple):
+    """Names in the file of what a log needs, joints in the robot's order."""
+
+    time: str | None
+    angle: list[str]
+    torque: list[str] | None  # None where the file has none
+    units: dict[str, str | float]  # of "time", "angle", "torque", where a name says them
+    signs: dict[str, float]  # of columns that were given with a minus
+    notes: list[str]
+
+
+class _Group(NamedTuple):
+    """Columns that share a word."""
+
+    word: str
+    path: str  # the word as the file has it
+    unit: str | float | None
+    columns: dict[str, str]  # joint, or index as text -> column
+
+
+def find(names: list[str], joints: tuple[str, ...], given: Mapping[str, str] | None) -> Columns:
+    """The columns of a log.
+
+    Args:
+        names: All columns of the file.
+        joints: The robot's joints.
+        given: Our names (t, q1, ..., tau1, ...) and the file's, where the user says them; ``-name`` turns the sign round.
+
+    Raises:
+        ValueError: no angles can be found, a word has too few joints, or a given column is not there.
+    """
+    notes: list[str] = []
+    chosen, signs = _given(names, len(joints), given or {})
+    groups = _groups(names, joints)
+    angle = _complete(chosen, "q", len(joints)) or _pick(groups, ANGLE, joints, notes)
+    torque = _complete(chosen, "tau", len(joints)) or _pick(groups, TORQUE, joints, notes)
+    current = None if torque else _pick(groups, CURRENT, joints, notes)
+    units: dict[str, str | float] = {}
+    time = chosen.get("t") or next((n for word in TIME for n in names if _bare(n)[0] == word), None)
+    if time is None:
+        time = next((n for n in names if _bare(n)[0] in ("t", *TIME) or _last(n) in TIME), None)
+    if angle is None:
+        n = len(joints)
+        raise ValueError(
+            f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {_listed(names)}; "
+            f"say which they are with --columns q1=... to q{n}=..."
+        )
+    if time is not None and (unit := _bare(time)[1]) is not None:
+        units["time"] = unit
+    for key, columns in (("angle", angle), ("torque", torque or current)):
+        unit = _bare(columns[0])[1] if columns else None
+        if isinstance(unit, str):
+            units[key] = unit
+    if current is not None:
+        units.setdefault("torque", "A")
+    said = {"angle": angle, "torque": torque or current or []}
+    for key, columns in said.items():
+        if columns and _plain(columns[0]) not in (f"{'q' if key == 'angle' else 'tau'}1",) and not given:
+            notes.append(f"{key} taken from {columns[0].strip()} to {columns[-1].strip()}")
+    return Columns(time, angle, torque or current, units, signs, notes)
+
+
+def _given(names: list[str], n: int, given: Mapping[str, str]) -> tuple[dict[str, str], dict[str, float]]:
+    ours = ("t", *(f"{word}{j + 1}" for word in ("q", "tau") for j in range(n)))
+    chosen, signs = {}, {}
+    for key, name in given.items():
+        checks.one_of("--columns", key, ours)
+        negative = name.startswith("-") and name not in names
+        checks.one_of(f"column {key}", name[negative:], names)
+        chosen[key] = name[negative:]
+        if negative:
+            signs[name[1:]] = -1.0
+    return chosen, signs
+
+
+def _complete(chosen: dict[str, str], word: str, n: int) -> list[str] | None:
+    wanted = [f"{word}{j + 1}" for j in range(n)]
+    there = [chosen[w] for w in wanted if w in chosen]
+    if there and len(there) < n:
+        missing = next(w for w in wanted if w not in chosen)
+        raise ValueError(f"--columns names some of {wanted[0]} to {wanted[-1]}, but not {missing}; name all {n}, or none")
+    return there or None
+
+
+def _plain(text: str) -> str:
+    return re.sub(r"[\W_]", "", text.lower())
+
+
+def _bare(name: str) -> tuple[str, str | float | None]:
+    """A name without unit, lower case and without separators; and the unit."""
+    found = _UNIT.search(name.strip())
+    unit = UNITS.get((found[1] or found[2]).lower()) if found else None
+    if found is None or unit is None:
+        return _plain(name), None
+    return _plain(name.strip()[: found.start()]), unit
+
+
+def _last(name: str) -> str:
+    return _plain(re.split(r"[/.]", name.strip().strip("/"))[-1])
+
+
+def _groups(names: list[str], joints: tuple[str, ...]) -> list[_Group]:
+    """Columns by word: those with a joint's name in them, then those with a number."""
+    groups: dict[tuple[bool, str], _Group] = {}
+    aliases = sorted(((alias, j) for j in joints for alias in {j, j.removesuffix("_joint")}), key=lambda a: -len(a[0]))
+
+    def put(by_name: bool, path: str, key: str, column: str) -> None:
+        word, unit = _bare(path)
+        group = groups.setdefault((by_name, path.lower()), _Group(word, path, unit, {}))
+        group.columns.setdefault(key, column)
+
+    for name in names:
+        body = name.strip()
+        unit = _UNIT.search(body)
+        tail = body[unit.start() :] if unit and _bare(body)[1] is not None else ""
+        core = body[: len(body) - len(tail)]
+        for alias, joint in aliases:
+            found = re.search(rf"(?<![A-Za-z0-9]){re.escape(alias)}(?![A-Za-z0-9])", core)
+            if found and core != alias:
+                put(True, core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail, joint, name)
+                break
+        indexed = next((found for pattern in _INDEX if (found := pattern.match(core))), None)
+        if indexed:
+            put(False, indexed[1] + indexed[3] + tail, str(int(indexed[2])), name)
+    return [groups[key] for key in sorted(groups, key=lambda key: not key[0])]
+
+
+def _pick(groups: list[_Group], words: tuple[str, ...], joints: tuple[str, ...], notes: list[str]) -> list[str] | None:
+    """Columns of the first word that has all joints."""
+    short: _Group | None = None
+    for match in (lambda group: group.word, lambda group: _last(_strip_unit(group.path))):
+        for word in words:
+            for group in groups:
+                if match(group) != word:
+                    continue
+                keys: list[str] = list(joints)
+                if not all(key in group.columns for key in keys):
+                    low = 0 if "0" in group.columns else 1
+                    keys = [str(low + j) for j in range(len(joints))]
+                if all(key in group.columns for key in keys):
+                    more = len(group.columns) - len(joints)
+                    if more > 0:
+                        notes.append(f"{more} columns of {group.path!r} beyond the arm's {len(joints)} joints are left out")
+                    return [group.columns[key] for key in keys]
+                short = short or group
+    if short is not None and not set(short.columns) <= {"0", "1"}:
+        raise ValueError(
+            f"the log must have columns {words[0]}1 to {words[0]}{len(joints)} for the arm's {len(joints)} joints "
+            f"({', '.join(joints)}); it has {_listed(list(short.columns.values()))}; say which they are with --columns"
+        )
+    return None
+
+
+def _strip_unit(path: str) -> str:
+    return path if _bare(path)[1] is None else path[: _UNIT.search(path.strip()).start()]  # pyright: ignore[reportOptionalMemberAccess]
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")
