@@ -33,12 +33,12 @@ RATES = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum obser
 FASTEST = 0.3  # of the sample rate
 WAIT = 3.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
-LEAST_TAIL, MEMORY, SHAPE = 5, 30, 0.1  # blocks it takes at least; blocks that the usual shape counts as, and that shape
+LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
 TRANSFER = 1.3  # on the largest seen, at least: other motions are not quite these
 NEVER = 1e9  # a threshold that nothing reaches
 LEAST_BLOCKS = 10
 LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.01)  # of the torque limit; rad
-PUSHES = 3.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
+PUSHES = 2.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
 
 
 class Promise(NamedTuple):
@@ -169,11 +169,11 @@ class _Level:
         above = above[above > 0]
         if not len(above):
             return float(base)
-        fitted = stats.genpareto.fit(above, floc=0)[0] if len(above) > LEAST_TAIL else SHAPE
-        shape = float(np.clip((len(above) * fitted + MEMORY * SHAPE) / (len(above) + MEMORY), 0.0, 0.3))
+        fitted = stats.genpareto.fit(above, floc=0)[0] if len(above) > LEAST_TAIL else 0.0
+        shape = float(np.clip(len(above) * fitted / (len(above) + MEMORY), -0.3, 0.3))
         scale = above.mean() * (1 - shape)
         ratio = max(count / len(ordered) / p, 1.0)
-        reach = math.log(ratio) if shape < 1e-6 else math.expm1(shape * math.log(ratio)) / shape
+        reach = math.log(ratio) if abs(shape) < 1e-6 else math.expm1(shape * math.log(ratio)) / shape
         return float(base + scale * reach)
 
 

@@ -11,7 +11,7 @@ from jaxftc.types import Verdict
 
 GAP = 0.5  # s; a shorter pause of a joint's alarm is part of its event
 GLITCH = 0.1  # s; a shorter alarm is no event
-SHARE = 0.25  # of an event's alarm in which a kind must be named to be part of it
+SHARE = 0.5  # of an event's alarm in which a kind must be named to be part of it
 UNITS = ("N m", "deg")
 
 

@@ -8,7 +8,8 @@ A reading is judged by w, what the expected acceleration leaves unexplained of i
 A healthy recording has more in it than noise, and none of this is a jump:
 
 * a row that was stamped wrong moves every reading along its own speed: ``_slip`` takes from w what the other joints say;
-* a row that repeats the last one, for a tick or two, is no reading: the motion goes on without it.
+* a reading that comes late, and is right again: its w is twice as large when it returns. The innovation, which knows the
+  motion before it, is not: w counts as far as both agree.
 
 Readings that stay the same while the arm must have moved are frozen. Jumps in a row to one side are a reading that moves by
 itself: after ``LONGEST`` of them it is held to drift, the tracker goes with it, and b keeps what it has. b that stays below
@@ -31,8 +32,7 @@ FARTHEST = 1e4  # rad; what reads more is no angle
 PATIENCE = 0.2  # s without a reading for which the motion is taken to go on; then the arm is taken to stand
 FORGET = 2.0  # s in which a b that is below its alarm is forgotten
 LONGEST = 3  # jumps in a row
-STALE = 2  # readings in a row that may be the last one again
-FROZEN, COUNTS, TRAVEL = 5, 20.0, 2e-3  # equal readings; counts or rad, the larger, by which the arm should have moved
+FROZEN, COUNTS, TRAVEL = 5, 30.0, 5e-3  # equal readings; counts or rad, the larger, by which the arm should have moved
 SLOW = 0.05  # rad/s; slower joints say nothing of the clock
 STANDING = 0.01  # rad/s, of a joint's mean speed over a tenth of a second
 
@@ -99,14 +99,14 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
 
     absent = ~(jnp.abs(inputs.q) < FARTHEST)
     same = inputs.q == state.reading
-    stale = same & (jnp.abs(y_hat + state.b - inputs.q) > 3 * state.count) & (state.unread < STALE)
-    missing = absent | stale | (same & (state.frozen > 0))
-    back = ~missing & (state.unread > STALE)
+    missing = absent | (same & (state.frozen > 0))
+    back = ~missing & (state.unread > 0)
     y = jnp.where(missing, y_hat + state.b, inputs.q)
     e = y - state.b - y_hat
     shift = jnp.where(back, e, 0.0)  # the motion that it had was not the one it made
 
-    w = jnp.where(missing | back, 0.0, _slip(config, _unexplained(config, state, y - state.b), state.qd))
+    w = _slip(config, _unexplained(config, state, y - state.b), state.qd)
+    w = jnp.where((w * e > 0) & ~missing & ~back, jnp.sign(w) * jnp.minimum(jnp.abs(w), jnp.abs(e)), 0.0)
     h_s = takagi_sugeno.jump_share(w, own.jump, own.jump_centres, own.jump_widths)
     side = jnp.where(h_s > 0.5, jnp.sign(w), 0.0)
     run = jnp.where(side * state.run > 0, state.run + side, side)
@@ -135,7 +135,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
         arx=arx.State(x_a, x_b), psi=psi, qd=qd, mean_speed=mean_speed, b=kept, e=e, unread=unread, run=run,
         q1=angles[0], q2=angles[1], q3=angles[2], drifts=drifts.astype(q_hat.dtype),
     )  # fmt: skip
-    state = _freeze(config, gains, state, inputs, absent)
+    state = _freeze(config, state, inputs, absent)
     frozen = state.frozen > 0
     wrong = frozen | drifts | (absent & (unread >= FROZEN))
     fault_q = jnp.where(frozen & ~absent, inputs.q - q_hat, b)
@@ -177,10 +177,10 @@ def _slip(config: Config, w: Array, speed: Array) -> Array:
     return jnp.stack(out)
 
 
-def _freeze(config: Config, gains: Gains, state: State, inputs: Inputs, absent: Array) -> State:
+def _freeze(config: Config, state: State, inputs: Inputs, absent: Array) -> State:
     """Readings that stay the same while the arm moves.
 
-    The arm is taken to go on with the speed and acceleration that it had when the reading last changed, until it stands. Of
+    The arm is taken to go on with the speed that it had when the reading last changed, braking if it braked, until it stands. Of
     an encoder that never stood still half so long before, an actuator alarm is enough to say that the arm moves.
     """
     dt, step = config.dt, jnp.abs(inputs.q - state.reading)
@@ -189,10 +189,11 @@ def _freeze(config: Config, gains: Gains, state: State, inputs: Inputs, absent: 
     stepped = step / (dt * (state.equal + 1))  # of a coarse encoder: one count in so many ticks
     changed = jnp.where(state.equal > 0, jnp.clip(state.qd, -stepped, stepped), state.qd)
     changed = jnp.where(jnp.abs(state.mean_speed) > 2 * STANDING, changed, 0.0)
-    ahead = state.speed + dt * state.slowing
+    braking = jnp.where(state.slowing * state.speed < 0, state.slowing, 0.0)
+    ahead = state.speed + dt * braking
     ahead = jnp.where(ahead * state.speed > 0, ahead, 0.0)
     travel = jnp.where(same, state.travel + dt * jnp.abs(state.speed), 0.0)
-    far = jnp.minimum(gains.observer.jump, jnp.maximum(COUNTS * state.count, TRAVEL))
+    far = jnp.maximum(COUNTS * state.count, TRAVEL)
     unlike = (equal > 2 * state.longest + FROZEN) & (equal * dt >= 0.1) & inputs.alarmed_tau
     frozen = (equal >= FROZEN) & ((travel > far) | unlike | (state.frozen > 0))
     return state._replace(
