@@ -26,18 +26,22 @@ from jaxftc.evaluation.intervals import tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import stretches
 from jaxftc.logs.log import Log
-from jaxftc.schemes.diagnoser import SETTLE
+from jaxftc.schemes.diagnoser import SETTLE, stiction
 
 BLOCK = 1.0  # s, over which the largest statistic is taken
-RATES = np.array([2.0, 3.0, 5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer
+RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
 FASTEST = 0.3  # of the sample rate
-WAIT = 3.0  # 1/s
+WAIT = 2.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
 LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
-TRANSFER = 1.3  # on the largest seen, at least: other motions are not quite these
+TRANSFER, FARTHEST = 1.25, 1.3  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
+# a minute has shown is not believed further out. The promise says what that leaves open.
+LEAST_JUMP = 1e-5  # rad, of w
 NEVER = 1e9  # a threshold that nothing reaches
 LEAST_BLOCKS = 10
-LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.01)  # of the torque limit; rad
+MIXED = 5  # blocks in a row that go to the same half
+STIFFENED = 0.5  # share to which a threshold must fall for a standing joint's residual to be forgiven
+LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.2)  # of the torque limit; rad
 PUSHES = 2.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
 
 
@@ -110,18 +114,21 @@ def calibrate_on_logs(
     level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
-    which = _best(largest, _rates(config))
+    half = len(_rates(config))
+    rests = largest[:, half:].min(1) < STIFFENED * largest[:, :half].min(1)  # of joints that stand, friction hides the most
+    which = np.where(rests, half + _best(largest[:, half:], _rates(config)), _best(largest[:, :half], _rates(config)))
     scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
     series = np.take_along_axis(found.tau, np.broadcast_to(which[None, :, None], (blocks, config.n, 1)), 2)[..., 0]
     alpha_tau = scale * level.factor(series)
-    widest = np.maximum(found.w.max(0), LEAST_Q / 2)
+    widest = np.maximum(found.w.max(0), LEAST_JUMP)
     half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
     changes = {
         "diagnosis.alpha_tau": alpha_tau,
         "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
         "diagnosis.lam_tau": 1.0,
         "observer.jump": 2 * half_jump,
-        "baseline.rate": _rates(config)[which],
+        "baseline.rate": _rates(config)[which % half],
+        "diagnosis.stiction": np.where(rests, stiction(config.robot), 0.0),
     }
     gains = gains.replace(changes)
     seen = sum(int(_rises(said.verdict)) for _, said in _diagnosed(config, gains, logs))
@@ -150,12 +157,12 @@ class _Level:
     def factor(self, peaks: np.ndarray) -> float:
         """From the largest statistics [blocks, n] of every second, to be put on the largest of all of each joint.
 
-        Half of the blocks are scaled by the largest of the other half, and the other way round: what has not been seen yet
-        counts as much as it did between the halves.
+        Half of the blocks, in turns, are scaled by the largest of the other half: what has not been seen yet counts as much
+        as it did between the halves.
         """
-        half = np.arange(len(peaks)) < len(peaks) // 2
+        half = np.arange(len(peaks)) // MIXED % 2 == 0
         largest = np.concatenate([(peaks[part] / peaks[~part].max(0)).max(1) for part in (half, ~half)])
-        return max(self._of(largest), TRANSFER)
+        return float(np.clip(self._of(largest), TRANSFER, math.inf if self.method == "sample" else FARTHEST))
 
     def _of(self, largest: np.ndarray) -> float:
         if self.method == "sample":
@@ -188,9 +195,11 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _open(config: Config, gains: Gains) -> Gains:
-    """Gains with every rate side by side, and thresholds that nothing reaches."""
+    """Gains with every rate side by side, without and with the friction of standing joints; thresholds that nothing reaches."""
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
-    return gains.replace(never | {"baseline.rate": np.tile(_rates(config), (config.n, 1))})
+    rates, held = np.tile(_rates(config), (config.n, 1)), np.tile(stiction(config.robot)[:, None], len(_rates(config)))
+    never |= {"baseline.rate": np.tile(rates, 2), "diagnosis.stiction": np.concatenate([0 * held, held], axis=1)}
+    return gains.replace(never)
 
 
 def _diagnosed(config: Config, gains: Gains, logs: list[Log]):  # noqa: ANN202

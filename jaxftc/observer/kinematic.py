@@ -157,7 +157,7 @@ def _unexplained(config: Config, state: State, q: Array) -> Array:
 def _slip(config: Config, w: Array, speed: Array) -> Array:
     """W [n, ...] rad less what an error of the row's time, common to all joints, makes of it at their speeds [n, ...] rad/s.
 
-    Each joint is held against the others only: the median of their w / speed, weighted by speed, at most one sample time.
+    Each joint is held against the others only: the median of their w / speed, weighted by speed, at most two sample times.
     It may explain a w away and never make one.
     """
     n = w.shape[0]
@@ -172,7 +172,7 @@ def _slip(config: Config, w: Array, speed: Array) -> Array:
         others = jnp.where(order == j, 0.0, weight)
         share = jnp.cumsum(others, 0) / others.sum(0)
         delay = jnp.take_along_axis(ratio, (share < 0.5).sum(0)[None], 0)[0]
-        left = w[j] - speed[j] * jnp.clip(delay, -config.dt, config.dt)
+        left = w[j] - speed[j] * jnp.clip(delay, -2 * config.dt, 2 * config.dt)
         out.append(jnp.where(jnp.abs(left) < jnp.abs(w[j]), left, w[j]))
     return jnp.stack(out)
 

@@ -6,7 +6,7 @@ from the arm's although its torques are right. What is measured of a torque is i
 the mean of two. Statistics, alarms and verdicts are the cascade's.
 
 * An arm that stands holds an unknown part of its weight by friction. Of a standing joint the residual is taken from its own
-  slow mean, as far as friction goes; a joint that moves has none to hide behind.
+  slow mean, as far as ``diagnosis.stiction`` goes; a joint that moves has no friction to hide behind.
 * A reading that is held to be wrong explains the torque residuals of all joints: their model was evaluated at it. A jump is
   taken out of the reading and explains nothing.
 
@@ -26,7 +26,6 @@ from jaxftc.diagnosis import alarm, decision, statistics
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import kinematic, stability
-from jaxftc.robot import lanes
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import momentum
 from jaxftc.types import Array
@@ -97,7 +96,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
     reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
     residual, age = _balance(config, gains, state, seen, measurement.tau)
-    offset = _offset(config, state, residual.r, seen.stands, age)
+    offset = _offset(config, gains, state, residual.r, seen.stands, age)
     settled = age * config.dt >= SETTLE
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
     means, statistic = statistics.step(config, gains, state.statistics, watched)
@@ -142,11 +141,11 @@ def _balance(
     return momentum.Observer(jnp.where(wrong, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
 
 
-def _offset(config: Config, state: State, r: Array, stands: Array, age: Array) -> Array:
+def _offset(config: Config, gains: Gains, state: State, r: Array, stands: Array, age: Array) -> Array:
     """Mean residual of joints that stand, [n, ...] N m, within what friction can hold; held while there is an alarm."""
     dt = config.dt
     learn = jnp.where(age * dt < SETTLE, 1.0, min(1.0, dt / OFFSET))
-    limit = lanes.trailing_constant(stiction(config.robot), r)
+    limit = gains.diagnosis.stiction
     toward = jnp.clip(state.offset + learn * (r - state.offset), -limit, limit)
     moved = state.offset * (1 - min(1.0, dt / RESTLESS))
     return jnp.where(state.alarm.tau > 0, state.offset, jnp.where(stands, toward, moved))
