@@ -18,6 +18,7 @@ from jaxftc.io.files import write_text
 if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
+    from jaxftc.robot.arm_file import Arm
     from jaxftc.robot.model import Robot
 
 MARK = ".jaxftc"  # in a folder of results: the command that made it
@@ -122,6 +123,16 @@ def read_arm(path: str, tip: str | None, lock: tuple[str, ...], *, cautions: boo
     for line in robot.notes + robot.cautions * cautions:
         print(f"{robot.name}: {line}", file=sys.stderr)
     return robot
+
+
+def whole_arm(robot: str, tip: str | None, lock: tuple[str, ...]) -> Arm:
+    """The robot that ``--robot`` names, and how its logs are read."""
+    from jaxftc.robot import arm_file
+    from jaxftc.robot.arm_file import Arm
+
+    if robot == "puma560":
+        return Arm(built_in(tip, lock, coulomb=True))
+    return Arm(read_arm(robot, tip, lock), arm_file.read_arm(robot).recording)
 
 
 def arm_words(options: Options) -> list[str]:

@@ -11,8 +11,9 @@ import tyro
 from jaxftc.cli import common
 
 if TYPE_CHECKING:
-    from jaxftc.identify.dynamics import Identified, Share
+    from jaxftc.identify.physical import Identified, Share
     from jaxftc.logs import Log
+    from jaxftc.robot.arm_file import Arm
 
 
 @dataclasses.dataclass
@@ -31,7 +32,7 @@ class LogOptions:
     """Hold the columns against the model."""
 
 
-def read_logs(options: Any, paths: tuple[Path, ...], arm: Any) -> list[Log]:
+def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
     """Logs with the options of the command; what was found in each is said."""
     from jaxftc import logs
 
@@ -69,6 +70,10 @@ class Identify(LogOptions):
     """Logs: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
     robot: str = "puma560"
     """The arm's file: MJCF, URDF, arm.toml or its folder."""
+    tip: str | None = None
+    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
+    lock: tuple[str, ...] = ()
+    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
     judge: bool = False
     """Fit nothing: only say how well the model explains the logs."""
     out: Path | None = None
@@ -78,41 +83,48 @@ class Identify(LogOptions):
     cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
     """Keep compiled programs between runs, in the user's cache folder."""
 
+    @property
+    def _as_options(self) -> Any:
+        """The options of every command that this one has: out, json, cache."""
+        return self
+
     def run(self) -> None:
         """Read, fit or judge, write."""
         if not self.logs:
             raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
-        common.prepare(self)
-        arm = common.arm_of(self)
+        common.prepare(self._as_options)
+        arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
-        folder = common.make_folder(self, "identify")
+        folder = common.make_folder(self._as_options, "identify")
         record = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
         record = {"sample_time_s": found[0].dt} | record | {"logs": [str(path) for path in self.logs], "robot": self.robot}
         text = common.write_json(folder / "result.json", record)
-        common.say(self, f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}")
+        common.say(
+            self._as_options,
+            f"\nWritten to {folder}: {', '.join(sorted(p.name for p in folder.iterdir() if p.name[0] != '.'))}",
+        )
         if self.json:
             print(text)
 
-    def _judge(self, arm: Any, logs: list[Log]) -> dict[str, Any]:
+    def _judge(self, arm: Arm, logs: list[Log]) -> dict[str, Any]:
         from jaxftc.identify import judge
 
-        held = judge(arm.robot, logs)
-        common.say(self, share_lines(held, arm.robot.joint_names, judged=True))
+        held = judge(arm.robot, logs, added=arm.recording.torque_offset or 0.0)
+        common.say(self._as_options, share_lines(held, arm.robot.joint_names, judged=True))
         return {"held_out": as_json(held), "parameters": []}
 
-    def _fit(self, arm: Any, logs: list[Log], folder: Path) -> dict[str, Any]:
-        from jaxftc.identify import dynamics, identifiable
-        from jaxftc.identify.arm import identified_arm, save
+    def _fit(self, arm: Arm, logs: list[Log], folder: Path) -> dict[str, Any]:
+        from jaxftc.identify import dynamics
         from jaxftc.io.files import write_text
         from jaxftc.report.identify import identify_page
+        from jaxftc.robot.arm_file import save_arm
 
-        shown = identifiable(arm.robot, logs)
-        common.say(self, shown_lines(shown, arm.robot.joint_names))
-        found = dynamics(arm.robot, logs)
+        names = arm.robot.joint_names
+        found = dynamics(arm.robot, logs, tell=lambda left: common.say(self._as_options, shown_lines(left, names)))
         for note in found.notes:
-            common.say(self, note)
-        common.say(self, share_lines(found.held_out, arm.robot.joint_names, judged=False))
-        save(folder, identified_arm(arm, found, logs[0].dt))
+            common.say(self._as_options, note)
+        common.say(self._as_options, share_lines(found.held_out, arm.robot.joint_names, judged=False))
+        save_arm(folder, self._arm(arm, found, logs))
         write_text(folder / "report.html", identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}"))
         return {
             "held_out": as_json(found.held_out),
@@ -122,6 +134,34 @@ class Identify(LogOptions):
             "trust": found.trust,
             "notes": [*found.notes],
         }
+
+    def _arm(self, arm: Arm, found: Identified, logs: list[Log]) -> Arm:
+        """The arm with what was found, and how its logs are read."""
+        import numpy as np
+
+        from jaxftc.identify import encoder
+        from jaxftc.robot.arm_file import Arm
+
+        before = arm.recording
+        gain = found.gain if before.torque_gain is None else found.gain * np.asarray(before.torque_gain)
+        if self.torque_per_ampere:
+            gain = np.broadcast_to(self.torque_per_ampere, arm.robot.n)
+        offset = found.gain * np.asarray(before.torque_offset or 0.0) - found.offset
+        resolution, noise = encoder(logs)
+        given = dict(pair.split("=", 1) for pair in self.columns)
+        n = arm.robot.n
+        wide = {key: tuple(given[f"{key}{j + 1}"] for j in range(n)) for key in ("q", "tau") if f"{key}1" in given}
+        names = tuple((({"t": (given["t"],)} if "t" in given else {}) | wide).items()) or before.columns
+        recording = dataclasses.replace(
+            before,
+            sample_time=logs[0].dt,
+            torque_gain=None if (gain == 1).all() else tuple(gain.tolist()),
+            torque_offset=None if not offset.any() else tuple(offset.tolist()),
+            encoder_resolution=tuple(resolution.tolist()),
+            encoder_noise=tuple(noise.tolist()),
+            columns=names,
+        )
+        return Arm(found.robot, recording)
 
 
 def as_json(held: Share) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import tyro
 from jaxftc.cli.calibrate import Calibrate
 from jaxftc.cli.campaign import Campaign
 from jaxftc.cli.demo import Demo
+from jaxftc.cli.identify import Identify
 from jaxftc.cli.inspect import Inspect
 from jaxftc.cli.simulate import Simulate
 from jaxftc.cli.view import View
@@ -26,6 +27,7 @@ COMMANDS: dict[str, Any] = {
     "inspect": Inspect,
     "simulate": Simulate,
     "campaign": Campaign,
+    "identify": Identify,
     "calibrate": Calibrate,
     "view": View,
 }

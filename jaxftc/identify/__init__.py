@@ -1,4 +1,8 @@
-"""Identification of the ARX-Laguerre read-out (kappa_a, kappa_b, offset) from a log, Eqs. (4), (5), block 1.
+"""Models from logs: the arm's physical one (``dynamics``), and the ARX-Laguerre read-out of the paper's block 1.
+
+``dynamics`` fits links, motor inertia, friction, torque offset and gain; ``judge`` says how well a model explains other
+logs; ``link_torque`` and ``regressor`` are what it is made of. The rest finds the ARX-Laguerre read-out (kappa_a, kappa_b,
+offset) from a log, Eqs. (4), (5), block 1.
 
 A log is recorded angles and commanded torques (``log``). The banks' poles stay as given, so the model is linear in its
 read-out (``readout``), which comes by batch least squares (``batch``), by recursive least squares with forgetting
@@ -26,13 +30,23 @@ set to; angles are in rad, torques in N m.
 """
 
 from jaxftc.identify.batch import fit_batch as fit_batch
+from jaxftc.identify.derivatives import Motion as Motion
+from jaxftc.identify.derivatives import encoder as encoder
+from jaxftc.identify.derivatives import motion as motion
 from jaxftc.identify.linear_model import features as features
 from jaxftc.identify.linear_model import regressors as regressors
+from jaxftc.identify.linear_torque import link_torque as link_torque
+from jaxftc.identify.linear_torque import regressor as regressor
 from jaxftc.identify.multistep import Errors as Errors
 from jaxftc.identify.multistep import Size as Size
 from jaxftc.identify.multistep import errors as errors
 from jaxftc.identify.multistep import fit_multistep as fit_multistep
 from jaxftc.identify.multistep import predict as predict
+from jaxftc.identify.physical import Identified as Identified
+from jaxftc.identify.physical import Parameter as Parameter
+from jaxftc.identify.physical import Share as Share
+from jaxftc.identify.physical import dynamics as dynamics
+from jaxftc.identify.physical import judge as judge
 from jaxftc.identify.recursive import RlsState as RlsState
 from jaxftc.identify.recursive import rls_init as rls_init
 from jaxftc.identify.recursive import rls_step as rls_step

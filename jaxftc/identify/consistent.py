@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+LEAST = 1e-3  # of a link's pseudo-inertia at the start that must be left: torques of nothing would take it all away
 BARRIERS = (1.0, 0.1, 1e-2, 1e-3)  # weight of the barrier, in units of the cost (half a squared standard deviation)
 STEPS = 50
 _BASIS = np.zeros((10, 4, 4))  # J = sum_k theta_k _BASIS[k]
@@ -68,12 +69,13 @@ def solve(
         positive: [m, p] G.
         free: [p] parameters that move; the others stay at the start.
     """
+    least = {i: LEAST * pseudo_inertia(x[10 * i : 10 * i + 10]) for i in links}
     for weight in BARRIERS:
         for _ in range(STEPS):
             slope, curve = h @ x - b, h.copy()
-            for i in links:
+            for i, floor in least.items():
                 place = slice(10 * i, 10 * i + 10)
-                parts = np.linalg.solve(pseudo_inertia(x[place]), _BASIS)  # [10, 4, 4]
+                parts = np.linalg.solve(pseudo_inertia(x[place]) - floor, _BASIS)  # [10, 4, 4]
                 slope[place] -= weight * np.trace(parts, axis1=1, axis2=2)
                 curve[place, place] += weight * np.einsum("kab,lba->kl", parts, parts)
             room = positive @ x
@@ -85,28 +87,28 @@ def solve(
             fall = -slope @ step
             if fall < 1e-6 * weight:
                 break
-            x = _line_search(h, b, x, step, fall, weight, links, positive)
+            x = _line_search(h, b, x, step, fall, weight, least, positive)
     return x
 
 
-def _line_search(h, b, x, step, fall, weight, links, positive):  # noqa: ANN001, ANN202
-    start, size = _cost(h, b, x, weight, links, positive), 1.0
+def _line_search(h, b, x, step, fall, weight, least, positive):
+    start, size = _cost(h, b, x, weight, least, positive), 1.0
     while size > 1e-9:
         tried = x + size * step
-        if _cost(h, b, tried, weight, links, positive) <= start - 1e-4 * size * fall:
+        if _cost(h, b, tried, weight, least, positive) <= start - 1e-4 * size * fall:
             return tried
         size *= 0.5
     return x
 
 
-def _cost(h, b, x, weight, links, positive) -> float:  # noqa: ANN001
+def _cost(h, b, x, weight, least, positive) -> float:
     room = positive @ x
     if (room <= 0).any():
         return np.inf
     total = 0.5 * x @ h @ x - b @ x - weight * np.log(room).sum()
-    for i in links:
+    for i, floor in least.items():
         try:
-            root = np.linalg.cholesky(pseudo_inertia(x[10 * i : 10 * i + 10]))
+            root = np.linalg.cholesky(pseudo_inertia(x[10 * i : 10 * i + 10]) - floor)
         except np.linalg.LinAlgError:
             return np.inf
         total -= 2 * weight * np.log(np.diag(root)).sum()

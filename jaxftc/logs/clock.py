@@ -79,7 +79,9 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
         first = int(np.flatnonzero(~(whole & np.isfinite(t)))[0]) + 1
         notes.append(f"{len(t) - len(usable)} rows with a missing value left out, the first is row {first}")
         if len(usable) < 0.5 * len(t):
-            raise ValueError(f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again")
+            raise ValueError(
+                f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again"
+            )
     t = t[usable]
     dt = own_rate(t)
     restarts = [k for k in np.flatnonzero(np.diff(t) < -10 * dt) + 1 if (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
@@ -95,7 +97,9 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     back = ~forward & ~equal
     if back.sum() > 0.1 * len(t):
         row = int(usable[np.flatnonzero(back)[0]]) + 1
-        raise ValueError(f"the time goes back in {back.sum()} of {len(t)} rows, the first is row {row}; sort the rows by time")
+        raise ValueError(
+            f"the time goes back in {back.sum()} of {len(t)} rows, the first is row {row}; sort the rows by time"
+        )
     for which, word in ((equal, "the same time as the one before"), (back, "a time before that of an earlier one")):
         if which.any():
             notes.append(f"{which.sum()} rows with {word} left out, the first is row {usable[np.flatnonzero(which)[0]] + 1}")
@@ -124,12 +128,14 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     return Rows(kept[use], t[use], starts, dt, notes)
 
 
-def resample(rows: Rows, values: list[np.ndarray], dt: float) -> tuple[np.ndarray, list[np.ndarray], tuple[tuple[int, int], ...]]:
+def resample(
+    rows: Rows, values: list[np.ndarray], dt: float
+) -> tuple[np.ndarray, list[np.ndarray], tuple[tuple[int, int], ...]]:
     """Times, values [T, n] at every ``dt`` by straight lines between the rows, and the segments [start, stop)."""
     times, out, segments, length = [], [[] for _ in values], [], 0
     for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
         t = rows.t[start:stop]
-        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
+        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-3)) + 1  # stamps may be of single precision
         grid = t[0] + dt * np.arange(ticks)
         even = len(t) == ticks and np.allclose(t, grid, rtol=0, atol=1e-6 + 1e-3 * dt)
         for column, value in zip(out, values, strict=True):

@@ -12,13 +12,64 @@ from typing import NamedTuple
 
 from jaxftc import checks
 
-ANGLE = ("q", "y", "actualq", "stateq", "qactual", "measuredq", "qmeas", "qpos", "position", "positions", "pos", "jointposition",
-         "jointpositions", "jointpos", "jointangle", "angle", "theta", "actualposition", "presentposition", "observationstate")  # fmt: skip
-TORQUE = ("tau", "torque", "effort", "efforts", "tauj", "statetauj", "taumeasured", "actualtau", "actualtorque", "jointtorque",
-          "jointtorques", "jointeffort", "actualjointtorques", "measuredtorque", "observationeffort", "observationtorque",
-          "presenttorque")  # fmt: skip
-CURRENT = ("actualcurrent", "current", "i", "currents", "jointcurrent", "motorcurrent", "presentcurrent", "measuredcurrent",
-           "observationcurrent")  # fmt: skip
+ANGLE = tuple(
+    [
+        "q",
+        "y",
+        "actualq",
+        "stateq",
+        "qactual",
+        "measuredq",
+        "qmeas",
+        "qpos",
+        "position",
+        "positions",
+        "pos",
+        "jointposition",
+        "jointpositions",
+        "jointpos",
+        "jointangle",
+        "angle",
+        "theta",
+        "actualposition",
+        "presentposition",
+        "observationstate",
+    ]
+)
+TORQUE = tuple(
+    [
+        "tau",
+        "torque",
+        "effort",
+        "efforts",
+        "tauj",
+        "statetauj",
+        "taumeasured",
+        "actualtau",
+        "actualtorque",
+        "jointtorque",
+        "jointtorques",
+        "jointeffort",
+        "actualjointtorques",
+        "measuredtorque",
+        "observationeffort",
+        "observationtorque",
+        "presenttorque",
+    ]
+)
+CURRENT = tuple(
+    [
+        "actualcurrent",
+        "current",
+        "i",
+        "currents",
+        "jointcurrent",
+        "motorcurrent",
+        "presentcurrent",
+        "measuredcurrent",
+        "observationcurrent",
+    ]
+)
 TIME = ("t", "time", "timestamp", "stamp", "seconds", "headerstamp", "times", "timestamps", "datetime")
 UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9,
          "deg": "deg", "degrees": "deg", "rad": "rad", "nm": "N m", "a": "A", "ma": "mA"}  # fmt: skip
@@ -148,7 +199,12 @@ def _groups(names: list[str], joints: tuple[str, ...]) -> list[_Group]:
         for alias, joint in aliases:
             found = re.search(rf"(?<![A-Za-z0-9]){re.escape(alias)}(?![A-Za-z0-9])", core)
             if found and core != alias:
-                put(True, core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail, joint, name)
+                put(
+                    True,
+                    core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail,
+                    joint,
+                    name,
+                )
                 break
         indexed = next((found for pattern in _INDEX if (found := pattern.match(core))), None)
         if indexed:

@@ -8,13 +8,20 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.logs import against_model, clock, columns, formats, readings
+from jaxftc.logs.against_model import doubts
+from jaxftc.logs.clock import order, resample, seconds
+from jaxftc.logs.columns import Columns, find
+from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
+from jaxftc.logs.readings import in_degrees, other_rows, unwrapped
+from jaxftc.logs.text import MISSING
+from jaxftc.robot.arm_file import Arm, Recording
 from jaxftc.robot.model import Robot
 
 LEAST_ROWS = 100
@@ -23,8 +30,9 @@ SLOWER = 2.2  # a sample time this much shorter than the log's own would be made
 
 def read(
     path: str | Path,
-    arm: Robot | Config,
+    arm: Robot | Arm | Config,
     *,
+    recording: Recording | None = None,
     columns: Mapping[str, str] | None = None,
     dt: float | None = None,
     degrees: bool | None = None,
@@ -35,7 +43,8 @@ def read(
 
     Args:
         path: CSV or other text, Parquet, MCAP, or a rosbag2 (.db3 or folder) of ``sensor_msgs/JointState``.
-        arm: The robot; or a config, at whose ``dt`` the log is wanted.
+        arm: The robot, or the arm with how its logs are read (``load_arm``); or a config, at whose ``dt`` the log is wanted.
+        recording: How the arm's logs are read, where ``arm`` does not say it: columns, torque gain and offset.
         columns: Our names (t, q1, q2, ..., tau1, ...) and the file's, where they are not found; a minus before the file's
             name turns the sign round. Of a file without a head the columns are "column 1", "column 2", ...
         dt: Sample time in s; that of the config or the log's own if not given. A file without time must have it.
@@ -50,60 +59,80 @@ def read(
         ValueError: the file cannot be read, columns are missing, a cell is no number, rows hold something else than this
             arm's readings, or a column is dead, swapped or negated; one line with file, row and column.
     """
-    config, robot = (arm, arm.robot) if isinstance(arm, Config) else (None, arm)
+    config = arm if isinstance(arm, Config) else None
+    robot: Any = getattr(arm, "robot", arm)
+    recording = recording or (arm.recording if isinstance(arm, Arm) else Recording())
     checks.instance("arm", robot, Robot)
     if dt is not None:
         checks.positive("dt", dt, "seconds")
     path = Path(path)
-    table = formats.table(path)
+    cells = table(path)
     try:
-        return _log(path, table, robot, columns, dt or (config.dt if config else None), dt, degrees, torque_per_ampere, check)
+        columns = columns or _recorded_columns(recording, cells)
+        options = _Options(columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check)
+        return _log(cells, robot, recording, options)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _log(path, table, robot, given, wanted, dt, degrees, torque_per_ampere, check) -> Log:  # noqa: ANN001, ANN202
-    found = columns.find(list(table.columns), robot.joint_names, given)
-    notes = [*table.notes, *found.notes]
+class _Options(NamedTuple):
+    columns: Mapping[str, str] | None
+    dt: float | None  # s, between rows of a file without time
+    wanted: float | None  # s, of the log
+    degrees: bool | None
+    torque_per_ampere: float | Sequence[float] | None
+    check: bool
+
+
+def _recorded_columns(recording: Recording, table: Table) -> dict[str, str] | None:
+    """Columns that the arm's file names, if this log has them."""
+    found = {}
+    for key, names in recording.columns:
+        if key in ("t", "q", "tau"):
+            found |= {key: names[0]} if key == "t" else {f"{key}{j}": name for j, name in enumerate(names, start=1)}
+    there = all(name in table.columns or name.removeprefix("-") in table.columns for name in found.values())
+    return found if found and there else None
+
+
+def _log(table: Table, robot: Robot, recording: Recording, options: _Options) -> Log:
+    found = find(list(table.columns), robot.joint_names, options.columns)
+    notes, unit = [*table.notes, *found.notes], "N m"
     q = _numbers(table, found, found.angle, "rad")
     tau = _numbers(table, found, found.torque, "N m") if found.torque else None
-    t, whole = _time(table, found, dt, len(q), notes), np.isfinite(q).all(1)
+    t, whole = _time(table, found, options.dt, len(q), notes), np.asarray(np.isfinite(q).all(1))
     if tau is None:
         notes.append("the file has no torques: readings alone are judged; torques and the model cannot be")
     else:
-        whole &= np.isfinite(tau).all(1)
-        tau = _torque_unit(tau, found, robot, torque_per_ampere, notes)
+        whole &= np.asarray(np.isfinite(tau).all(1))
+        tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
-    rows = clock.order(t, whole)
+    rows = order(t, whole)
     notes += rows.notes
     q, tau = q[rows.kept], None if tau is None else tau[rows.kept]
-    why = "its columns say so" if found.units.get("angle") == "deg" else readings.in_degrees(robot, q)
-    if degrees or (degrees is None and why):
+    why = "its columns say so" if found.units.get("angle") == "deg" else in_degrees(robot, q)
+    if options.degrees or (options.degrees is None and why):
         notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
         q = np.deg2rad(q)
-    q, said = readings.unwrapped(rows.t, q, rows.starts)
+    q, said = unwrapped(rows.t, q, rows.starts)
     notes += said
-    strange = check and readings.other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
+    strange = options.check and other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
     if strange:
         raise ValueError(strange)
-    step = wanted or rows.dt
+    step = options.wanted or rows.dt
     if rows.dt > SLOWER * step:
         raise ValueError(
-            f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; what "
-            f"lies between its rows is not known, so take dt = {rows.dt:g}"
+            f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
+            f"what lies between its rows is not known, so take dt = {rows.dt:g}"
         )
-    times, values, segments = clock.resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
+    times, (q, torque), segments = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
     if len(times) < LEAST_ROWS:
         raise ValueError(f"the log has {len(times)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
-    log = Log(*values, times, step, segments, unit="N m")
-    if tau is not None:
-        amperes = found.units.get("torque") in ("A", "mA") and torque_per_ampere is None
-        log = log._replace(unit="A" if amperes else "N m")
-        if check:
-            wrong, noticed = against_model.doubts(robot, log.q, slow_speed(log), log.tau, amperes=amperes)
-            if wrong:
-                raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are)")
-            notes += noticed
+    log = Log(q, torque, times, step, segments, unit=unit)
+    if tau is not None and options.check:
+        wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
+        if wrong:
+            raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are)")
+        notes += noticed
     return log._replace(notes=tuple(notes))
 
 
@@ -119,7 +148,7 @@ def slow_speed(log: Log) -> np.ndarray:
     return out
 
 
-def _numbers(table: formats.Table, found: columns.Columns, names: list[str], unit: str) -> np.ndarray:
+def _numbers(table: Table, found: Columns, names: list[str], unit: str) -> np.ndarray:
     """[rows, n] of columns; a cell that is no number is refused."""
     out = []
     for name in names:
@@ -131,21 +160,21 @@ def _numbers(table: formats.Table, found: columns.Columns, names: list[str], uni
 
 
 def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
-    from jaxftc.logs.text import MISSING
-
     out = np.empty(len(column))
     for row, cell in enumerate(column, start=1):
         try:
             out[row - 1] = np.nan if cell is None or str(cell).strip().lower() in MISSING else float(cell)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"row {row}, column {name!r}: must be a number in {unit}, got {cell!r}; mend that cell") from error
+            raise ValueError(
+                f"row {row}, column {name!r}: must be a number in {unit}, got {cell!r}; mend that cell"
+            ) from error
     return out
 
 
-def _time(table: formats.Table, found: columns.Columns, dt: float | None, rows: int, notes: list[str]) -> np.ndarray:
+def _time(table: Table, found: Columns, dt: float | None, rows: int, notes: list[str]) -> np.ndarray:
     if found.time is not None:
         try:
-            t, said = clock.seconds(table.columns[found.time], found.units.get("time"))
+            t, said = seconds(table.columns[found.time], found.units.get("time"))
         except ValueError as error:
             raise ValueError(f"column {found.time!r} {error}") from error
         notes += [said] if said else []
@@ -154,8 +183,8 @@ def _time(table: formats.Table, found: columns.Columns, dt: float | None, rows: 
     whole = next((name for key, name in parts.items() if key.endswith(("stampsec", "stampsecs"))), None)
     rest = next((name for key, name in parts.items() if key.endswith(("stampnanosec", "stampnsec", "stampnsecs"))), None)
     if whole and rest:
-        seconds = table.columns[whole].astype(float)
-        return seconds - seconds[0] + 1e-9 * table.columns[rest].astype(float)
+        start = table.columns[whole].astype(float)
+        return start - start[0] + 1e-9 * table.columns[rest].astype(float)
     if dt is None:
         raise ValueError(
             f"no column of time (t, time, timestamp, ...) among {', '.join(list(table.columns)[:20])}; say which it is with "
@@ -165,21 +194,35 @@ def _time(table: formats.Table, found: columns.Columns, dt: float | None, rows: 
     return dt * np.arange(rows)
 
 
-def _torque_unit(tau, found, robot, torque_per_ampere, notes) -> np.ndarray:  # noqa: ANN001
+def _torque(
+    tau: np.ndarray,
+    found: Columns,
+    robot: Robot,
+    recording: Recording,
+    torque_per_ampere: float | Sequence[float] | None,
+    notes: list[str],
+) -> tuple[np.ndarray, str]:
+    """Torques [rows, n] with the gain and offset that are known, and their unit."""
+    current = found.units.get("torque") in ("A", "mA")
     if found.units.get("torque") == "mA":
         tau = 1e-3 * tau
-    if torque_per_ampere is not None:
-        gain = np.asarray(torque_per_ampere, float)
+    gain = recording.torque_gain if torque_per_ampere is None else torque_per_ampere
+    if gain is not None:
+        gain = np.asarray(gain, float)
         if gain.shape not in ((), (1,), (robot.n,)) or not np.isfinite(gain).all() or (gain == 0).any():
             raise ValueError(f"torque_per_ampere must be one number or {robot.n}, finite and not 0, got {torque_per_ampere}")
-        notes.append(f"torques are currents times {np.array2string(gain, precision=4)} N m/A")
-        return tau * gain
-    if found.units.get("torque") in ("A", "mA"):
-        notes.append("torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere")
-    return tau
+        notes.append(f"torques are the columns times {np.array2string(gain, precision=4)} N m")
+        tau, current = tau * gain, False
+    if current:
+        notes.append(
+            "torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere"
+        )
+    elif recording.torque_offset is not None:
+        tau = tau + np.asarray(recording.torque_offset)
+    return tau, "A" if current else "N m"
 
 
-def _hollow(found: columns.Columns, q: np.ndarray, tau: np.ndarray | None) -> None:
+def _hollow(found: Columns, q: np.ndarray, tau: np.ndarray | None) -> None:
     for values, names in ((q, found.angle), (tau, found.torque)):
         if values is None or names is None:
             continue

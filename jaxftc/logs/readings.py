@@ -15,7 +15,7 @@ FAR = 20.0  # rad; three turns and more are degrees where the model has no limit
 def in_degrees(robot: Robot, q: np.ndarray) -> str | None:
     """Why the angles [T, n] must be degrees, or None."""
     size = np.abs(q).max(0)
-    ranges = np.where(robot.mj_model.jnt_limited.astype(bool), np.abs(robot.mj_model.jnt_range).max(1), np.inf)
+    ranges = np.maximum(np.abs(robot.q_low), np.abs(robot.q_high))
     beyond = size > np.maximum(1.5 * ranges, TURN + 0.5)
     if beyond.any() and (np.deg2rad(size) <= 1.1 * ranges).all():
         j = int((size / ranges).argmax())
@@ -55,7 +55,7 @@ def other_rows(t: np.ndarray, q: np.ndarray, tau: np.ndarray | None, rows: np.nd
     first, last = np.flatnonzero(wild)[[0, -1]]
     j = int(steps[max(first - 1, 0)].argmax())
     return (
-        f"row {rows[first] + 1}, column of joint {j + 1}: {q[first, j]:.6g} rad after {q[max(first - 1, 0), j]:.6g} rad, and other "
-        f"joints jump with it; {wild.sum()} such rows, the last is row {rows[last] + 1}: they are no readings of this arm, "
-        "so cut them out of the file"
+        f"row {rows[first] + 1}, column of joint {j + 1}: {q[first, j]:.6g} rad after {q[max(first - 1, 0), j]:.6g} rad, "
+        f"and other joints jump with it; {wild.sum()} such rows, the last is row {rows[last] + 1}: they are no readings of "
+        "this arm, so cut them out of the file"
     )

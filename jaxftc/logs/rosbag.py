@@ -32,7 +32,9 @@ def read(path: Path) -> Table:
         try:
             stamp, found, signals = joint_state(data)
         except (struct.error, UnicodeDecodeError, IndexError, ValueError) as error:
-            raise ValueError(f"{path}: message {len(stamps) + 1} on {topic} is damaged ({error}); cut the bag there") from error
+            raise ValueError(
+                f"{path}: message {len(stamps) + 1} on {topic} is damaged ({error}); cut the bag there"
+            ) from error
         names = names or found
         if found != names:
             if set(found) != set(names):
@@ -98,7 +100,9 @@ def _chosen(path: Path, topics: list[str]) -> str:
 def _sqlite(path: Path) -> Iterator[tuple[str, int, bytes]]:
     try:  # immutable: nothing is written beside a file that may be in a folder without permission
         with sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True) as connection:
-            topics = {name: key for key, name, kind in connection.execute("select id, name, type from topics") if kind in TYPE}
+            topics = {
+                name: key for key, name, kind in connection.execute("select id, name, type from topics") if kind in TYPE
+            }
             topic = _chosen(path, list(topics))
             order = "select timestamp, data from messages where topic_id = ? order by timestamp"
             for received, data in connection.execute(order, (topics[topic],)):
@@ -109,7 +113,7 @@ def _sqlite(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 def _rosbags(path: Path) -> Iterator[tuple[str, int, bytes]]:
     try:
-        from rosbags.rosbag2 import Reader, ReaderError
+        from rosbags.rosbag2 import Reader, ReaderError  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError as error:
         raise ValueError(f"{path}: reading this takes rosbags; pip install 'jaxftc[logs]'") from error
     try:

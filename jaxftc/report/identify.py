@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import plotly.graph_objects as go
 
-from jaxftc.identify.dynamics import Identified, Share, torques
-from jaxftc.identify.motion import motion
+from jaxftc.identify.derivatives import motion
+from jaxftc.identify.physical import Identified, Share, torques
 from jaxftc.logs.log import Log
 from jaxftc.report.figures import COLOURS, MOST, Panel, by_joint, finish
 from jaxftc.report.page import embed, page, table
@@ -52,14 +52,14 @@ def parameter_table(found: Identified, names: tuple[str, ...]) -> str:
         [names[p.joint - 1], p.name, p.status, f"{p.before:.4g}", f"{p.after:.4g}", p.unit, f"{100 * p.shown:.0f}"]
         for p in found.parameters
     ]
-    return table(["joint", "parameter", "", "file", "now", "unit", "shown"], rows, units=["", "", "", "", "", "", "%"], text=3)
+    return table(
+        ["joint", "parameter", "", "file", "now", "unit", "shown"], rows, units=["", "", "", "", "", "", "%"], text=3
+    )
 
 
 def _torque_figure(log: Log, recorded: np.ndarray, models: dict[str, np.ndarray], names: tuple[str, ...]) -> go.Figure:
     curves = {"recorded": (recorded, {"color": COLOURS[6], "width": 1.0})}
-    curves |= {
-        name: (value, {"color": COLOURS[k]}) for (name, value), k in zip(models.items(), (1, 0), strict=True)
-    }
+    curves |= {name: (value, {"color": COLOURS[k]}) for (name, value), k in zip(models.items(), (1, 0), strict=True)}
     left = {
         f"left by {name}": (recorded - value, {"color": COLOURS[k], "width": 1.0})
         for (name, value), k in zip(models.items(), (1, 0), strict=True)
@@ -85,7 +85,14 @@ def _friction_figure(before: Robot, found: Identified, qd: np.ndarray, left: np.
         )  # fmt: skip
         for (name, y), colour in zip(curves.items(), (COLOURS[1], COLOURS[0]), strict=True):
             figure.add_scatter(
-                x=x, y=y, mode="lines", name=name, legendgroup=name, showlegend=j == 0, line={"color": colour}, meta={"joint": j}
+                x=x,
+                y=y,
+                mode="lines",
+                name=name,
+                legendgroup=name,
+                showlegend=j == 0,
+                line={"color": colour},
+                meta={"joint": j},
             )
     finish(figure, "Friction over speed", panels=2, first=0)
     return figure.update_xaxes(title_text="speed, rad/s").update_yaxes(title_text="friction, N m")

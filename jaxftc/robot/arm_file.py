@@ -36,7 +36,7 @@ MAY_BE_INFINITE = ("torque_limit_nm", "range_rad", "speed_limit_rads")
 LINK_KEYS = {"mass_kg": "mass", "moment_kgm": "moment", "inertia_kgm2": "inertia"}  # of [links.NAME]
 LOG_KEYS = ("sample_time_s", "torque_gain", "torque_offset_nm", "encoder_resolution_rad", "encoder_noise_rad", "columns")
 COLUMNS = ("t", "q", "tau", "qd")  # of [log.columns]
-TOP_KEYS = ("model", "tip", "lock", "gravity_ms2", "joints", "links", "log")
+TOP_KEYS = ("model", "tip", "lock", "gravity_ms2", "coulomb_speed_rads", "joints", "links", "log")
 UPPER = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)  # xx yy zz xy xz yz of a tensor
 
 
@@ -127,10 +127,11 @@ def _as_table(arm: Arm, folder: Path) -> dict[str, Any]:
         table: dict[str, Any] = {"model": Path(os.path.relpath(source.path.resolve(), folder.resolve())).as_posix()}
         table |= {} if source.tip is None else {"tip": source.tip}
         table |= {"lock": dict(source.lock)} if source.lock else {}
-    for field in ("q_zero", "coulomb_speed", "payload_link", "joint_names"):
+    for field in ("q_zero", "payload_link", "joint_names"):
         if not _same(getattr(robot, field), getattr(base, field)):
             raise ValueError(f"{robot.name!r} differs from its model's file in {field}, which an arm's file cannot hold")
     table |= {} if _same(robot.gravity, base.gravity) else {"gravity_ms2": robot.gravity.tolist()}
+    table |= {} if robot.coulomb_speed == base.coulomb_speed else {"coulomb_speed_rads": float(robot.coulomb_speed)}
     joints: dict[str, dict[str, Any]] = {}
     for key, fields in JOINT_KEYS.items():
         for j, name in enumerate(robot.joint_names):
@@ -220,6 +221,8 @@ class _Reader:
                 )
         if "gravity_ms2" in self.table:
             numbers["gravity"] = np.array(_many("gravity_ms2", self.table["gravity_ms2"], 3, _number, "number"))
+        if "coulomb_speed_rads" in self.table:
+            numbers["coulomb_speed"] = _number("coulomb_speed_rads", self.table["coulomb_speed_rads"])
         return robot.replace(**numbers, links=tuple(changed)) if numbers or links else robot
 
     def _recording(self, robot: Robot) -> Recording:

@@ -29,6 +29,7 @@ BARE = (
     "the file gives no motor inertia (armature) and no friction for any joint: light joints are accelerated as no real one "
     "is, and faults may throw the arm; give both in the file or in an arm.toml"
 )
+COULOMB_SPEED = 0.05  # rad/s, width of the friction's tanh where nothing else is known
 NOT_NEGATIVE = ("armature", "damping_positive", "damping_negative", "coulomb_positive", "coulomb_negative")
 POSITIVE = ("torque_limit", "speed_limit")
 
@@ -222,7 +223,7 @@ def _from_chain(name: str, found: Chain, source: Source | None) -> Robot:
         damping_negative=column(joint.damping for joint in joints),
         coulomb_positive=column(joint.coulomb[0] for joint in joints),
         coulomb_negative=column(joint.coulomb[1] for joint in joints),
-        coulomb_speed=0.05,
+        coulomb_speed=COULOMB_SPEED,
         torque_limit=column(joint.torque_limit for joint in joints),
         speed_limit=column(joint.speed_limit for joint in joints),
         tool=found.tool,
@@ -236,6 +237,7 @@ def _assemble(*, tensors: tuple[str, ...], **given: Any) -> Robot:
     """The robot of its numbers, checked, with what is made of them."""
     for name in (*NOT_NEGATIVE, *POSITIVE, "q_zero", "q_low", "q_high"):
         given[name] = _checked(name, given[name], given["joint_names"])
+    checks.positive("coulomb_speed", given["coulomb_speed"], "rad/s")
     checks.finite("gravity", given["gravity"], "it is in m/s^2, such as 0 0 -9.81")
     _refuse_singular(given, tensors)
     robot = Robot(**given, mj_model=None, body_link=np.zeros(0), fingerprint=_fingerprint(given))  # pyright: ignore[reportArgumentType]
@@ -316,6 +318,8 @@ def _fingerprint(given: dict[str, Any]) -> str:
         constants.append(given["damping_positive"])
     if np.isfinite([given["q_low"], given["q_high"]]).any():
         constants += [given["q_low"], given["q_high"]]
+    if given["coulomb_speed"] != COULOMB_SPEED:
+        constants.append(np.array(given["coulomb_speed"]))
     rounded = [(np.round(np.ravel(c), 9) + 0.0).tolist() for c in constants]
     return hashlib.sha256(repr(rounded).encode()).hexdigest()[:16]
 

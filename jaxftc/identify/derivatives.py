@@ -1,8 +1,8 @@
 """Speed and acceleration of a recorded motion: a low-pass without lag, its band found in the readings.
 
 Where the spectrum of a joint's angle meets the encoder's noise, nothing of the motion is left to differentiate. Above some
-10 Hz arms swing in their gears, which no rigid model has, so the band ends there. Each joint gets a Butterworth filter of its
-band, forward and backward, and differences of what comes out.
+10 Hz arms swing in their gears, which no rigid model has, so the band ends there. Each joint gets a Butterworth filter of
+its band, forward and backward, and differences of what comes out.
 """
 
 from __future__ import annotations
@@ -68,3 +68,25 @@ def motion(log: Log) -> Motion:
         inside[start + edge : stop - edge] = True
         stretch[start:stop] = k
     return Motion(q, qd, qdd, np.asarray(log.tau, float), inside, stretch, limits)
+
+
+def encoder(logs: list[Log]) -> tuple[np.ndarray, np.ndarray]:
+    """Resolution [n] rad a count (0: too fine to see) and noise [n] rad, standard deviation, of the readings."""
+    resolution, noise = [], []
+    for log in logs:
+        steps = np.abs(np.diff(np.asarray(log.q, float), axis=0))
+        counts = [np.unique(np.round(column[column > 1e-7], 9)) for column in steps.T]
+        resolution.append([_count(column) for column in counts])
+        start, stop = max(log.stretches, key=lambda s: s[1] - s[0])
+        fourth = np.diff(np.asarray(log.q, float)[start:stop], 4, axis=0) / np.sqrt(70)  # of noise
+        noise.append(1.4826 * np.median(np.abs(fourth), axis=0))
+    return np.max(resolution, axis=0), np.median(noise, axis=0)
+
+
+def _count(steps: np.ndarray) -> float:
+    """The step of which most others are whole multiples; 0 where there is none."""
+    if len(steps) < 3:
+        return 0.0
+    small = steps[0]
+    near = np.abs(steps / small - np.round(steps / small)) < 0.1
+    return float(small) if small > 1e-6 and near[: max(20, len(steps) // 10)].mean() > 0.9 else 0.0

@@ -1,6 +1,6 @@
 """The physical model of an arm from healthy logs: links, motor inertia, friction by direction, torque offset and gain.
 
-Regularised least squares toward the robot file's values (``regressor`` has the equation), over all logs::
+Regularised least squares toward the robot file's values (``linear_torque`` has the equation), over all logs::
 
     sum_j |Y_j x - g_j tau_j|^2 / sigma_j^2 + |(x - x_file) / (lambda s)|^2
 
@@ -11,15 +11,15 @@ are not fitted. Links stay such that a body can have them (``consistent``). What
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.identify import consistent
-from jaxftc.identify.motion import Motion, motion
-from jaxftc.identify.regressor import LINK, from_link, regressor, to_link
+from jaxftc.identify.consistent import inward, margin, solve
+from jaxftc.identify.derivatives import Motion, motion
+from jaxftc.identify.linear_torque import LINK, from_link, inverse, regressor, to_link
 from jaxftc.logs.log import Log
 from jaxftc.robot.model import Robot
 
@@ -94,13 +94,20 @@ class _Sums(NamedTuple):
         return np.sqrt(np.maximum(square, 0) / max(self.rows[fold], 1))
 
 
-def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequence[float] | None = None) -> Identified:
+def dynamics(
+    robot: Robot,
+    logs: Log | Sequence[Log],
+    *,
+    gain: np.ndarray | Sequence[float] | None = None,
+    tell: Callable[[list[tuple[str, int]]], object] = lambda left: None,
+) -> Identified:
     """The physical model of an arm, from logs of the healthy arm.
 
     Args:
         robot: The file's model; what the logs do not show keeps its values.
         logs: One or more, of ``logs.read``.
         gain: [n] N m for one unit of the torque column; 1 if not given, or found where the logs have currents.
+        tell: Called before the fit with the names and joints (from 1) of parameters that these motions do not determine.
 
     Returns:
         The model, how well it explains held-out parts, and what became of every parameter. It never explains them worse
@@ -118,8 +125,12 @@ def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequ
         notes.append(f"torque for one ampere, found on the file's model: {_listed(gain)} N m")
     gain = np.ones(robot.n) if gain is None else np.broadcast_to(np.asarray(gain, float), robot.n)
     folds = _folds(motions)
-    taken = [np.flatnonzero(m.inside)[:: max(1, sum(len(x.q) for x in motions) // MOST_ROWS)] for m in motions]
-    q, qd, qdd, tau = (np.concatenate([getattr(m, key)[k] for m, k in zip(motions, taken, strict=True)]) for key in ("q", "qd", "qdd", "tau"))  # fmt: skip
+    every = max(1, sum(len(m.q) for m in motions) // MOST_ROWS)
+    taken = [np.flatnonzero(m.inside)[::every] for m in motions]
+    q, qd, qdd, tau = (
+        np.concatenate([getattr(m, key)[k] for m, k in zip(motions, taken, strict=True)])
+        for key in ("q", "qd", "qdd", "tau")
+    )
     fold = np.concatenate([f[k] for f, k in zip(folds, taken, strict=True)])
     links = regressor(robot, q, qd, qdd)
     torque = gain * tau
@@ -129,6 +140,8 @@ def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequ
     for speed in SPEEDS:
         sums = _sums(links, _motor_columns(robot.n, qd, qdd, speed), torque, fold)
         choices.append((_held_out(sums, _fit_folds(robot, sums, file, doubt, 0.3, bodies=False)), 0.3, speed, sums))
+    shown = _fit(robot, choices[1][3].without(None), file, doubt, 1.0, bodies=False)[1]
+    tell([(p.name, p.joint) for p in _parameters(robot, file, file, shown) if p.status == "left"])
     best = min(choice[0] for choice in choices)
     _, _, speed, sums = next(choice for choice in choices if choice[0] <= CLOSE * best)
     tried = [(trust, _fit_folds(robot, sums, file, doubt, trust)) for trust in TRUST]
@@ -153,7 +166,7 @@ def dynamics(robot: Robot, logs: Log | Sequence[Log], *, gain: np.ndarray | Sequ
     return Identified(found, gain, x[-robot.n :], held, tuple(_parameters(robot, file, x, shown)), trust, tuple(notes))
 
 
-def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0) -> Share:
+def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: Any = 0.0, added: Any = 0.0) -> Share:
     """How well a model explains the torques of logs; nothing is fitted, so before and after are the same.
 
     Args:
@@ -161,25 +174,27 @@ def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: A
         logs: One or more, of ``logs.read``.
         gain: [n] or one number, N m for one unit of the torque column.
         offset: [n] or one number, N m; model + offset = gain * recorded.
+        added: [n] or one number, N m that reading added to the torques; taken off for the size of the torque as recorded.
 
     Raises:
-        ValueError: a log without torques, or of another arm.
+        ValueError: a log without torques, of another arm, or of currents whose gain is not known.
     """
     logs = [logs] if isinstance(logs, Log) else list(logs)
     _check(robot, logs)
     left, torque = [], []
     for log in logs:
+        if log.unit == "A" and np.all(np.asarray(gain) == 1.0):
+            raise ValueError("the log has currents, and the N m for one ampere are not known; give torque_per_ampere")
         tau = np.broadcast_to(np.asarray(gain, float), robot.n) * np.asarray(log.tau, float)
-        left.append(tau - np.asarray(offset, float) - torques(robot, motion(log)))
-        torque.append(tau)
+        m = motion(log)  # at the ends of a stretch its speed is not known
+        left.append((tau - np.asarray(offset, float) - torques(robot, m))[m.inside])
+        torque.append((tau - np.asarray(added, float))[m.inside])
     after = _rms(np.concatenate(left))
     return Share(_rms(np.concatenate(torque)), after, after)
 
 
 def torques(robot: Robot, m: Motion) -> np.ndarray:
     """Torque [T, n] N m that a model needs for a motion, friction and motor inertia included."""
-    from jaxftc.identify.regressor import inverse
-
     return inverse(robot, m.q, m.qd, m.qdd)
 
 
@@ -231,7 +246,7 @@ def _motor_columns(n: int, qd: np.ndarray, qdd: np.ndarray, speed: float) -> np.
 
 
 def _sums(links: np.ndarray, motor: np.ndarray, torque: np.ndarray, fold: np.ndarray) -> _Sums:
-    rows, n, p = links.shape
+    _, n, p = links.shape
     folds = np.unique(fold)
     h, b = np.zeros((len(folds), n, p + 5 * n, p + 5 * n)), np.zeros((len(folds), n, p + 5 * n))
     c, count = np.zeros((len(folds), n)), np.zeros(len(folds))
@@ -273,7 +288,8 @@ def _doubt(robot: Robot, torque: np.ndarray, qd: np.ndarray, qdd: np.ndarray) ->
         parts.append(mass * np.repeat([1.0, length, length**2], [1, 3, 6]))
     size = _rms(torque) + 1e-9
     fast, hard = _rms(qd) + 1e-3, _rms(qdd) + 1e-2
-    return np.concatenate([*parts, size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    return np.concatenate([*parts, np.maximum(motor, np.abs(_file(robot)[10 * robot.n :]))])
 
 
 def _start(
@@ -284,12 +300,12 @@ def _start(
     x, links, free = file.copy(), [], shown >= SHOWN
     for i, length in enumerate(_lengths(robot)):
         place = slice(10 * i, 10 * i + 10)
-        inside = consistent.margin(file[place], length)
+        inside = margin(file[place], length)
         if inside < -IMPOSSIBLE or not free[place].any():
             continue
         links.append(i)
         if inside < EDGE:
-            x[place], free[place] = consistent.inward(file[place], length), True
+            x[place], free[place] = inward(file[place], length), True
     rows = np.zeros((4 * n, p))
     for j in range(n):
         inertia, viscous, mean, apart = (10 * n + k * n + j for k in range(4))
@@ -312,15 +328,17 @@ def _fit(
     n = robot.n
     scaled = doubt.copy()
     scaled[: 10 * n] *= max(trust, 1e-6)
-    size = np.sqrt(sums.c / sums.rows)
-    sigma = 0.2 * size + 1e-9
+    model = np.einsum("p,jpq,q->j", file, sums.h, file)
+    least = 1e-3 * np.sqrt(np.maximum(sums.c, model) / sums.rows) + 1e-9
+    sigma = np.maximum(0.2 * np.sqrt(sums.c / sums.rows), least)
+    h, b, x = np.empty(0), np.empty(0), file
     for _ in range(4):  # the weights are what is left
         weight = 1 / (CORRELATED * sigma**2)
         h = np.einsum("j,jpq->pq", weight, sums.h)
         b = np.einsum("j,jp->p", weight, sums.b)
         x = file + scaled * np.linalg.solve(h * np.outer(scaled, scaled) + np.eye(len(file)), scaled * (b - h @ file))
         left = sums.c - 2 * sums.b @ x + np.einsum("p,jpq,q->j", x, sums.h, x)
-        sigma = np.maximum(np.sqrt(np.maximum(left, 0) / sums.rows), 1e-4 * size + 1e-9)
+        sigma = np.maximum(np.sqrt(np.maximum(left, 0) / sums.rows), least)
     values, vectors = np.linalg.eigh(h * np.outer(doubt, doubt))
     shown = (vectors**2) @ (np.maximum(values, 0) / (1 + np.maximum(values, 0)))
     if not bodies:
@@ -329,7 +347,7 @@ def _fit(
     if trust == 0:
         x[: 10 * n], links, free[: 10 * n] = file[: 10 * n], [], False
     prior = 1 / scaled**2
-    return consistent.solve(h + np.diag(prior), b + prior * file, x, links, positive, free), shown
+    return solve(h + np.diag(prior), b + prior * file, x, links, positive, free), shown
 
 
 CORRELATED = 20.0  # rows that say the same: residuals of real arms are friction, not noise, and last some tenths of a second
@@ -351,20 +369,17 @@ def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[st
     n, notes = robot.n, []
     links = tuple(to_link(link, x[10 * i : 10 * i + 10]) for i, link in enumerate(robot.links))
     for i, length in enumerate(_lengths(robot)):
-        if consistent.margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
-            notes.append(f"link {i + 1} is none that a body can have, as it was in the file; M(q) decides whether that matters")
+        if margin(x[10 * i : 10 * i + 10], length) < -IMPOSSIBLE:
+            notes.append(
+                f"link {robot.link_names[i]!r} is none that a body can have, as in the file; see that M(q) is positive"
+            )
     inertia, viscous, mean, apart = x[10 * n : 14 * n].reshape(4, n)
-    return with_numbers(
-        robot, links=links, armature=inertia, damping=viscous, coulomb_positive=np.maximum(mean + apart, 0),
-        coulomb_negative=np.maximum(mean - apart, 0), coulomb_speed=speed,
-    ), notes  # fmt: skip
-
-
-def with_numbers(robot: Robot, **numbers: Any) -> Robot:
-    """The same arm with other numbers."""
-    import dataclasses
-
-    return dataclasses.replace(robot, **numbers, fingerprint=robot.fingerprint + "!")
+    positive, negative = np.maximum(mean + apart, 0), np.maximum(mean - apart, 0)
+    found = robot.replace(
+        links=links, armature=inertia, damping_positive=viscous, damping_negative=viscous, coulomb_positive=positive,
+        coulomb_negative=negative, coulomb_speed=speed,
+    )  # fmt: skip
+    return found, notes
 
 
 def _parameters(robot: Robot, file: np.ndarray, x: np.ndarray, shown: np.ndarray) -> list[Parameter]:
@@ -386,8 +401,8 @@ def _first_gain(robot: Robot, motions: list[Motion]) -> np.ndarray:
     model = np.concatenate([torques(robot, m) for m in motions])
     qd, qdd, tau = (np.concatenate([getattr(m, key) for m in motions]) for key in ("qd", "qdd", "tau"))
     for j in range(robot.n):
-        friction = np.stack([np.tanh(qd[:, j] / 0.05), qd[:, j], np.ones(len(qd))], axis=1)
-        columns = np.column_stack([tau[:, j], -friction])  # gain * tau - friction = model
+        motor = _motor_columns(1, qd[:, j : j + 1], qdd[:, j : j + 1], 0.05)[:, 0]
+        columns = np.column_stack([tau[:, j], -motor])  # gain * tau - motor = model
         scale = np.linalg.norm(columns, axis=0) + 1e-12
         found = np.linalg.lstsq(columns / scale, model[:, j], rcond=None)[0] / scale
         left = model[:, j] - columns @ found

@@ -1,0 +1,489 @@
+"""Logs of every kind, and what a user reads of a bad one."""
+
+import re
+import sqlite3
+import struct
+
+import numpy as np
+import pytest
+import small_logs
+
+from jaxftc import Config, logs
+from jaxftc.io.files import write_parquet
+from jaxftc.robot.arm_file import Arm, Recording
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return small_logs.robot(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def good(arm):
+    return small_logs.table(arm)
+
+
+def renamed(table, **pairs):
+    """Columns under other names; the rest goes."""
+    return {new: table[old] for old, new in pairs.items()}
+
+
+def our(table, q="q{}", tau="tau{}", t="t", first=1, order=(0, 1, 2)):
+    """Columns under names with a number or a joint's name in them."""
+    label = [q.format(k + first) for k in range(3)], [tau.format(k + first) for k in range(3)]
+    out = {t: table["t"]}
+    for names, word in zip(label, ("q", "tau"), strict=True):
+        out |= {names[k]: table[f"{word}{k + 1}"] for k in order}
+    return out
+
+
+def by_name(table, text, words, order=(0, 1, 2)):
+    joints = ("pan", "shoulder_joint", "elbow_joint")
+    return {
+        text.format(joint=joints[k], word=word): table[f"{ours}{k + 1}"]
+        for k in order
+        for ours, word in zip(("q", "tau"), words, strict=True)
+    }
+
+
+def same(log, good):
+    np.testing.assert_allclose(log.q, np.stack([good[f"q{j}"] for j in (1, 2, 3)], 1), atol=1e-6)
+    np.testing.assert_allclose(log.tau, np.stack([good[f"tau{j}"] for j in (1, 2, 3)], 1), atol=1e-5)
+    assert log.dt == 0.01 and log.stretches == ((0, 600),) and log.t[0] == 0 and abs(log.t[-1] - 5.99) < 1e-6
+
+
+WRITTEN = {
+    "comma": lambda path, table: small_logs.write(path, table),
+    "semicolon, decimal comma": lambda path, table: small_logs.write(path, table, ";", comma=True),
+    "tab": lambda path, table: small_logs.write(path, table, "\t"),
+    "blanks": lambda path, table: small_logs.write(path, table, "  "),
+    "comma and blank": lambda path, table: small_logs.write(path, table, ", "),
+    "byte-order mark": lambda path, table: path.write_bytes(b"\xef\xbb\xbf" + small_logs.write(path, table).read_bytes()),
+    "Windows": lambda path, table: path.write_bytes(small_logs.write(path, table).read_bytes().replace(b"\n", b"\r\n")),
+    "UTF-16": lambda path, table: path.write_bytes(small_logs.write(path, table).read_text().encode("utf-16")),
+    "comments": lambda path, table: path.write_text(
+        "# made by hand\n% a remark\n" + small_logs.write(path, table).read_text()
+    ),
+    "head in a comment": lambda path, table: path.write_text("# " + small_logs.write(path, table).read_text()),
+    "ur_rtde": lambda path, table: small_logs.write(
+        path, our(table, "actual_q_{}", "actual_joint_torques_{}", "timestamp", first=0), " "
+    ),
+    "libfranka": lambda path, table: small_logs.write(
+        path,
+        our(table | {"t": (1000 * table["t"]).round().astype(int)}, "state.q[{}]", "state.tau_J[{}]", "time", first=0)
+        | {"state.q_d[0]": table["q1"], "control.tau_J_d[0]": table["tau1"], "success_rate": table["q1"]},
+        ", ",
+    ),
+    "PlotJuggler": lambda path, table: small_logs.write(
+        path,
+        {"__time": 1.7e9 + table["t"]} | by_name(table, "/joint_states/{joint}/{word}", ("position", "effort"), (2, 0, 1)),
+    ),
+    "joint names without _joint": lambda path, table: small_logs.write(
+        path,
+        {"t": table["t"]} | {k.replace("_joint", ""): v for k, v in by_name(table, "{word}_{joint}", ("q", "tau")).items()},
+    ),
+    "simulate": lambda path, table: small_logs.write(
+        path, {"t": table["t"]} | by_name(table, "{word}_{joint}", ("y", "tau"))
+    ),
+    "joint1_position": lambda path, table: small_logs.write(path, our(table, "joint{}_position", "joint{}_torque", "time")),
+    "milliseconds": lambda path, table: small_logs.write(path, table | {"t": 1000 * table["t"]}),
+    "microseconds": lambda path, table: small_logs.write(path, table | {"t": 1e6 * table["t"]}),
+    "whole nanoseconds": lambda path, table: small_logs.write(
+        path, table | {"t": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]}
+    ),
+    "ISO dates": lambda path, table: small_logs.write(
+        path,
+        table | {"t": [str(s) + "Z" for s in np.datetime64("2026-01-02T03:04:05") + (1e6 * table["t"]).astype("m8[us]")]},
+    ),
+    "seconds and nanoseconds": lambda path, table: small_logs.write(
+        path,
+        {"header.stamp.sec": table["t"].astype(int) + 5, "header.stamp.nanosec": (1e9 * (table["t"] % 1)).round()}
+        | {k: v for k, v in table.items() if k != "t"},
+    ),
+    "degrees in the name": lambda path, table: small_logs.write(
+        path, our({k: np.rad2deg(v) if k[0] == "q" else v for k, v in table.items()}, q="q{}_deg")
+    ),
+    "degrees": lambda path, table: small_logs.write(
+        path, {k: np.rad2deg(v) if k[0] == "q" else v for k, v in table.items()}
+    ),
+    "wrapped": lambda path, table: small_logs.write(path, table | {"q3": (table["q3"] + np.pi) % (2 * np.pi) - np.pi}),
+    "an unneeded text column": lambda path, table: small_logs.write(path, table | {"mode": ["run"] * len(table["t"])}),
+    "the last line cut short": lambda path, table: path.write_text(small_logs.write(path, table).read_text() + "6.0,0.1,0."),
+    "a stamp twice": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[100]) for k, v in table.items()}),
+    "a row again": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[90]) for k, v in table.items()}),
+}
+
+
+@pytest.mark.parametrize("way", WRITTEN)
+def test_a_log_is_read_however_it_was_written(way, arm, good, tmp_path):
+    path = tmp_path / "log.csv"
+    WRITTEN[way](path, good)
+    same(logs.read(path, arm), good)
+
+
+def joint_state(stamp, names, *signals):
+    """One message in CDR, as ROS 2 writes it."""
+    out = bytearray(b"\x00\x01\x00\x00")
+
+    def put(form, *values):
+        size = struct.calcsize(form[-1])
+        out.extend(b"\0" * (-(len(out) - 4) % size))
+        out.extend(struct.pack("<" + form, *values))
+
+    def text(value):
+        put("I", len(value) + 1)
+        out.extend(value.encode() + b"\0")
+
+    put("I", stamp // 10**9)
+    put("I", stamp % 10**9)
+    text("base")
+    put("I", len(names))
+    for name in names:
+        text(name)
+    for signal in signals:
+        put("I", len(signal))
+        if len(signal):
+            put(f"{len(signal)}d", *signal)
+    return bytes(out)
+
+
+def bag(path, good, topic="/joint_states", kind="sensor_msgs/msg/JointState", effort=True, names=None):
+    names = names or ["elbow_joint", "pan", "shoulder_joint"]
+    with sqlite3.connect(path) as base:
+        base.execute("create table topics(id integer primary key, name text, type text, serialization_format text)")
+        base.execute("create table messages(id integer primary key, topic_id integer, timestamp integer, data blob)")
+        base.execute("insert into topics values (1, ?, ?, 'cdr')", (topic, kind))
+        for k, t in enumerate(good["t"]):
+            q, tau = ([good[f"{word}{j}"][k] for j in (3, 1, 2)] for word in ("q", "tau"))
+            stamp = 10**18 + round(1e9 * t)
+            message = joint_state(stamp, names, q, [], tau if effort else [])
+            base.execute("insert into messages values (?, 1, ?, ?)", (k, stamp + 5 * 10**6, message))
+    base.close()
+    return path
+
+
+def test_a_bag_is_read_without_metadata_beside_it(arm, good, tmp_path):
+    same(logs.read(bag(tmp_path / "log.db3", good), arm), good)
+
+
+def test_mcap_is_read(arm, good, tmp_path):
+    pytest.importorskip("rosbags", reason="the extra `logs`")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        at = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        for k, t in enumerate(good["t"]):
+            q, tau = ([good[f"{word}{j}"][k] for j in (3, 1, 2)] for word in ("q", "tau"))
+            stamp = 10**18 + round(1e9 * t)
+            writer.write(at, stamp, joint_state(stamp, ["elbow_joint", "pan", "shoulder_joint"], q, [], tau))
+    same(logs.read(tmp_path / "bag", arm), good)
+    same(logs.read(next((tmp_path / "bag").glob("*.mcap")), arm), good)
+
+
+def test_states_as_lists_are_read(arm, good, tmp_path):
+    import duckdb
+
+    state = [[float(good[f"q{j}"][k]) for j in (1, 2, 3)] + [0.5] for k in range(600)]
+    effort = [[float(good[f"tau{j}"][k]) for j in (1, 2, 3)] for k in range(600)]
+    path = tmp_path / "episode[1].parquet"  # DuckDB reads a path as a pattern; LeRobot stamps in single precision
+    rows = list(zip(good["t"].tolist(), state, effort, strict=True))
+    with duckdb.connect() as base:
+        base.execute('create table rows("timestamp" float, "observation.state" double[], "observation.effort" double[])')
+        base.executemany("insert into rows values (?, ?, ?)", rows)
+        base.execute(f"copy rows to '{path}' (format parquet)")
+    log = logs.read(path, arm)
+    assert any("beyond the arm's 3 joints" in note for note in log.notes)
+    np.testing.assert_allclose(log.q[:, 2], good["q3"], atol=1e-4)
+    np.testing.assert_allclose(log.tau[:, 2], good["tau3"], atol=0.01)
+
+
+def moved(table, **change):
+    return table | {k: v(table[k]) if callable(v) else v for k, v in change.items()}
+
+
+def without(table, *names):
+    return {k: v for k, v in table.items() if k not in names}
+
+
+def cells(values, **at):
+    out = [f"{v:.9g}" for v in values]
+    for row, cell in at.items():
+        out[int(row[1:]) - 1] = cell
+    return out
+
+
+def rows(table, keep):
+    return {k: np.asarray(v)[keep] for k, v in table.items()}
+
+
+def gap(table, start, stop):
+    return rows(table, np.r_[0:start, stop : len(table["t"])])
+
+
+def half_rate(table):
+    return rows(table, slice(None, None, 2))
+
+
+def scrambled(table):
+    return {k: np.r_[v[:99], 253.0, v[100:]] if k[0] == "q" else v for k, v in table.items()}
+
+
+K = np.arange(600)
+REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
+    "no time": (lambda t: without(t, "t"), "no column of time (t, time, timestamp, ...) among q1, q2, q3"),
+    "no angles": (lambda t: without(t, "q1", "q2", "q3"), "the log must have columns q1 to q3 in rad, or q_pan and so on"),
+    "an angle missing": (lambda t: without(t, "q2"), "the log must have columns q1 to q3 for the arm's 3 joints"),
+    "a torque missing": (lambda t: without(t, "tau3"), "columns tau1 to tau3 for the arm's 3 joints (pan, shoulder_joint"),
+    "text in a cell": (
+        lambda t: t | {"q2": cells(t["q2"], r7="oops")},
+        "row 7, column 'q2': must be a number in rad, got 'oops'",
+    ),
+    "text as torque": (lambda t: t | {"tau1": ["on"] * 600}, "row 1, column 'tau1': must be a number in N m, got 'on'"),
+    "text as time": (
+        lambda t: t | {"t": ["noon"] * 600},
+        "column 't' must hold the time as numbers or ISO dates, got 'noon'",
+    ),
+    "a column without numbers": (lambda t: t | {"tau2": [""] * 600}, "column 'tau2' holds no number in any row"),
+    "most rows hollow": (
+        lambda t: t | {"q1": np.where(K % 3 == 0, t["q1"], np.nan)},
+        "400 of 600 rows miss a value, the first is row 2",
+    ),
+    "time that stands": (
+        lambda t: t | {"t": np.zeros(600)},
+        "column 't' must increase from row to row, it is 0.0 throughout",
+    ),
+    "rows in no order": (lambda t: rows(t, np.random.default_rng(0).permutation(600)), "rows, the first is row"),
+    "time backwards": (lambda t: t | {"t": t["t"][::-1]}, "must increase from row to row"),
+    "only gaps": (
+        lambda t: t | {"t": t["t"] + 10.0 * (K // 10)},
+        "no stretch of 20 rows is without a gap of more than 0.05 s",
+    ),
+    "too short": (lambda t: rows(t, slice(0, 60)), "the log has 60 rows at 10 ms, at least 100 are needed"),
+    "rows of another message": (scrambled, "row 100, column of joint 2: 253 rad after"),
+    "a number of rows of another message": (
+        lambda t: {k: np.where((K > 10) & (K < 16), 40.0 * K, v) if k[0] == "q" else v for k, v in t.items()},
+        "such rows, the last is row 17: they are no readings of this arm, so cut them out of the file",
+    ),
+    "torque turned round": (
+        lambda t: t | {"tau2": -t["tau2"]},
+        "column of torque 2 (shoulder_joint) goes against gravity and friction at slow motion: its sign is turned round",
+    ),
+    "torque turned round, no gravity on it": (
+        lambda t: t | {"tau1": -t["tau1"]},
+        "column of torque 1 (pan) goes against gravity and friction at slow motion",
+    ),
+    "torques swapped": (
+        lambda t: t | {"tau2": t["tau3"], "tau3": t["tau2"]},
+        "columns of torque 2 and 3 (shoulder_joint, elbow_joint) fit each other's joint at slow motion: they are swapped",
+    ),
+    "angle turned round": (
+        lambda t: t | {"q2": -t["q2"]},
+        "column of angle 2 (shoulder_joint) makes the torques fit when its sign",
+    ),
+    "angles swapped": (
+        lambda t: t | {"q2": t["q3"], "q3": t["q2"]},
+        "columns of angle 2 and 3 (shoulder_joint, elbow_joint) make the torques fit when they are swapped",
+    ),
+    "a dead torque": (
+        lambda t: t | {"tau2": np.zeros(600)},
+        "column of torque 2 (shoulder_joint) is 0 in every row while the joint moves",
+    ),
+    "faster than recorded": (half_rate, "the log has a row every 20 ms (50 Hz) and 1 ms are wanted", {"dt": 0.001}),
+    "a column that is not there": (lambda t: t, "column q1 must be one of 't', 'q1'", {"columns": {"q1": "nope"}}),
+    "some columns only": (
+        lambda t: t,
+        "--columns names some of q1 to q3, but not q2",
+        {"columns": {"q1": "q2", "q3": "q1"}},
+    ),
+    "a name that is not ours": (lambda t: t, "--columns must be one of 't', 'q1'", {"columns": {"angle": "q1"}}),
+    "a torque constant of 0": (lambda t: t, "torque_per_ampere must be one number or 3", {"torque_per_ampere": 0.0}),
+    "too many torque constants": (
+        lambda t: t,
+        "torque_per_ampere must be one number or 3",
+        {"torque_per_ampere": [1.0, 2.0]},
+    ),
+    "a sample time of 0": (lambda t: t, "dt must be a positive, finite number of seconds", {"dt": 0.0}),
+    "the same name twice": (lambda t: {**t, " q1": t["q1"]}, "two columns are named 'q1'"),
+}
+
+
+@pytest.mark.parametrize("defect", REFUSED)
+def test_what_cannot_be_read_is_refused_in_one_line(defect, arm, good, tmp_path):
+    spoil, words, *options = REFUSED[defect]
+    path = small_logs.write(tmp_path / "log.csv", spoil(good))
+    with pytest.raises(ValueError, match=re.escape(words)) as refusal:
+        logs.read(path, arm, **(options[0] if options else {}))
+    assert "\n" not in str(refusal.value) and (str(path) in str(refusal.value) or options)
+
+
+FILES = {
+    "no file": ("log.csv", None, "there is no such file"),
+    "another suffix": ("log.xlsx", b"", "a log is one of .csv, .tsv"),
+    "bytes": ("log.csv", b"\x00\x01\x02", "this is a binary file and not text"),
+    "nothing": ("log.csv", b"", "the file has no rows"),
+    "comments only": ("log.csv", b"# t,q1\n", "the file has no rows"),
+    "a head only": ("log.csv", b"t,q1,q2\n", "the file has a head and no rows"),
+    "no head": ("log.csv", b"0,1,2\n1,2,3\n", "it has column 1, column 2, column 3"),
+    "a row of another length": ("log.csv", b"t,q1,q2\n0,1,2\n1,2\n3,4,5\n", "line 3 has 2 columns, the head has 3"),
+    "text as Parquet": ("log.parquet", b"t,q1\n0,1\n", "cannot read"),
+    "text as a bag": ("log.db3", b"t,q1\n0,1\n", "is it a rosbag2 file?"),
+}
+
+
+@pytest.mark.parametrize("defect", FILES)
+def test_what_is_no_log_is_refused(defect, arm, tmp_path):
+    name, content, words = FILES[defect]
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=re.escape(words)) as refusal:
+        logs.read(tmp_path / name, arm)
+    assert str(tmp_path / name) in str(refusal.value)
+
+
+def test_bags_without_joint_states_are_refused(arm, good, tmp_path):
+    with pytest.raises(ValueError, match="no topic of sensor_msgs/JointState in the bag"):
+        logs.read(bag(tmp_path / "a.db3", good, kind="sensor_msgs/msg/Imu"), arm)
+    damaged = bag(tmp_path / "b.db3", good)
+    with sqlite3.connect(damaged) as base:
+        base.execute("update messages set data = substr(data, 1, 40) where id = 7")
+    base.close()
+    with pytest.raises(ValueError, match="message 8 on /joint_states is damaged"):
+        logs.read(damaged, arm)
+
+
+NOTED = {  # what is odd: (the log, the line that a user reads, options)
+    "equal stamps": (
+        lambda t: t | {"t": np.where(K == 50, t["t"][49], t["t"])},
+        "1 rows with the same time as the one before left out, the first is row 51",
+    ),
+    "a stamp that goes back": (
+        lambda t: t | {"t": np.where(K == 50, t["t"][40], t["t"])},
+        "1 rows with a time before that of an earlier one left out, the first is row 51",
+    ),
+    "a short gap": (lambda t: gap(t, 100, 103), "1 gaps of up to 40 ms bridged by straight lines"),
+    "a long gap": (lambda t: gap(t, 100, 150), "cut into 2 segments at gaps of more than 50 ms, after t = 0.99 s"),
+    "two recordings in one file": (
+        lambda t: {k: np.r_[v, v] for k, v in t.items()},
+        "the clock starts anew at row 601; taken as 2 recordings",
+    ),
+    "jitter": (lambda t: t | {"t": t["t"] + 0.002 * np.sin(7.0 * K)}, "resampled to 10 ms"),
+    "hollow cells": (
+        lambda t: t | {"q2": np.where(K == 9, np.nan, t["q2"])},
+        "1 rows with a missing value left out, the first is row 10",
+    ),
+    "empty cells": (
+        lambda t: t | {"q2": cells(t["q2"], r5="", r6="NA")},
+        "2 rows with a missing value left out, the first is row 5",
+    ),
+    "degrees": (lambda t: {k: np.rad2deg(v) if k[0] == "q" else v for k, v in t.items()}, "angles are in degrees (joint"),
+    "a wrap": (
+        lambda t: t | {"q3": (t["q3"] + 2.2 + np.pi) % (2 * np.pi) - np.pi},
+        "steps of a whole turn undone:",
+        {"check": False},
+    ),
+    "no torques": (lambda t: without(t, "tau1", "tau2", "tau3"), "the file has no torques: readings alone are judged"),
+    "currents by name": (
+        lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="actual_current_{}"),
+        "torques are currents in A, and the N m for one are not known",
+    ),
+    "currents without a word": (
+        lambda t: {k: v / 9 if k[:3] == "tau" else v for k, v in t.items()},
+        "the torque columns look like another unit",
+    ),
+    "currents with their constant": (
+        lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="i_{} [A]"),
+        "torques are the columns times 9. N m",
+        {"torque_per_ampere": 9.0},
+    ),
+    "no time but a sample time": (
+        lambda t: without(t, "t"),
+        "no column of time: rows are 10 ms apart, as given",
+        {"dt": 0.01},
+    ),
+    "milliseconds": (lambda t: t | {"t": 1000 * t["t"]}, "time is in ms"),
+    "other names": (lambda t: our(t, q="actual_q_{}"), "angle taken from actual_q_1 to actual_q_3"),
+    "a decimal comma": (lambda t: t, "numbers have a decimal comma"),
+}
+
+
+@pytest.mark.parametrize("oddity", NOTED)
+def test_what_is_repaired_is_said_in_one_line(oddity, arm, good, tmp_path):
+    spoil, words, *options = NOTED[oddity]
+    path = tmp_path / "log.csv"
+    comma = oddity == "a decimal comma"
+    small_logs.write(path, spoil(good), ";" if comma else ",", comma=comma)
+    log = logs.read(path, arm, **(options[0] if options else {}))
+    assert any(words in note for note in log.notes), log.notes
+    assert all("\n" not in note for note in log.notes)
+    assert np.isfinite(log.q).all() and np.abs(np.diff(log.q[slice(*log.stretches[0])], axis=0)).max() < 0.1
+
+
+def test_a_good_log_says_nothing(arm, good, tmp_path):
+    log = logs.read(small_logs.write(tmp_path / "log.csv", good), arm)
+    assert log.notes == () and log.unit == "N m" and log.has_torque
+    write_parquet(tmp_path / "log.parquet", good)
+    same(logs.read(tmp_path / "log.parquet", arm), good)
+
+
+def test_segments_do_not_touch(arm, good, tmp_path):
+    log = logs.read(small_logs.write(tmp_path / "log.csv", gap(good, 100, 150)), arm)
+    assert log.stretches == ((0, 100), (100, 550)) and abs(log.t[100] - 1.5) < 1e-9
+    np.testing.assert_allclose(log.q[100], [good[f"q{j}"][150] for j in (1, 2, 3)], atol=1e-6)
+
+
+def test_jitter_is_taken_out_with_the_stamps(arm, tmp_path):
+    t, q, qd, qdd = small_logs.motion(6, 100, 1)
+    stamps = t + 0.003 * np.sin(7.0 * np.arange(600))
+    at = np.stack([np.interp(stamps, t, column) for column in q.T], 1)
+    tau = small_logs.torque(arm, q, qd, qdd)
+    tau = np.stack([np.interp(stamps, t, column) for column in tau.T], 1)
+    table = {"t": stamps} | {f"q{j + 1}": at[:, j] for j in range(3)} | {f"tau{j + 1}": tau[:, j] for j in range(3)}
+    log = logs.read(small_logs.write(tmp_path / "log.csv", table), arm)
+    assert log.dt == 0.01
+    ours = np.stack([np.interp(stamps[0] + log.t, t, column) for column in q.T], 1)
+    np.testing.assert_allclose(log.q[1:-1], ours[1:-1], atol=3e-4)  # without the stamps it would be 3e-3
+
+
+def test_the_rate_is_the_logs_own_or_the_configs(arm, tmp_path):
+    for rate, dt in ((125, 0.008), (500, 0.002), (30, 1 / 30), (90.9, 0.011)):
+        path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, seconds=8, rate=rate))
+        assert logs.read(path, arm).dt == pytest.approx(dt, rel=1e-3)
+    path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, rate=125))
+    assert logs.read(path, Config(arm, dt=0.01, t_final=1.0)).dt == 0.01
+    with pytest.raises(ValueError, match=r"the log has a row every 8 ms \(125 Hz\) and 1 ms are wanted"):
+        logs.read(path, Config(arm))
+
+
+def test_the_arms_file_says_how_its_logs_are_read(arm, good, tmp_path):
+    strange = {"when": good["t"]} | {f"a{j}{j}": good[f"q{j}"] for j in (1, 2, 3)}
+    strange |= {f"b{j}{j}": (good[f"tau{j}"] - 0.5) / -4 for j in (1, 2, 3)}
+    path = small_logs.write(tmp_path / "log.csv", strange)
+    columns = (("t", ("when",)), ("q", ("a11", "a22", "a33")), ("tau", ("-b11", "-b22", "-b33")))
+    recording = Recording(torque_gain=(4.0, 4.0, 4.0), torque_offset=(0.5, 0.5, 0.5), columns=columns)
+    same(logs.read(path, Arm(arm, recording)), good)
+    same(logs.read(path, Config(arm, dt=0.01, t_final=1.0), recording=recording), good)
+
+
+def test_a_sign_that_is_given_is_turned(arm, good, tmp_path):
+    path = small_logs.write(tmp_path / "log.csv", good | {"tau2": -good["tau2"]})
+    named = {"tau1": "tau1", "tau2": "-tau2", "tau3": "tau3"}
+    same(logs.read(path, arm, columns=named), good)
+    assert logs.read(path, arm, check=False).tau[0, 1] == pytest.approx(-good["tau2"][0])
+
+
+def test_a_fault_is_no_defect_of_the_log(arm, good, tmp_path):
+    """Faults that are for the diagnosis to find do not refuse a log, and nothing of them is repaired."""
+    on = K > 300
+    faults = {
+        "actuator": good | {"tau2": good["tau2"] - 10 * on},
+        "bias": good | {"q2": good["q2"] + 0.03 * on},
+        "jump": good | {"q2": good["q2"] + 1.0 * on},
+        "drift": good | {"q3": good["q3"] + 0.17 * (good["t"] - 3) * on},
+        "freeze": good | {"q2": np.where(on, good["q2"][300], good["q2"])},
+    }
+    for fault in faults.values():
+        log = logs.read(small_logs.write(tmp_path / "log.csv", fault), arm)
+        np.testing.assert_allclose(log.q[:, 1], fault["q2"], atol=1e-6)
+        np.testing.assert_allclose(log.tau[:, 1], fault["tau2"], atol=1e-5)
