@@ -82,6 +82,7 @@ class Tune(common.Options):
         checks.integer("--held-out", self.held_out, 2, "it is the number of scenarios that the gains are compared on")
         config = Config(
             common.load_arm(self),
+            dt=common.sample_time(self),
             engine=self.engine,
             observer=self.observer,
             control=self.control,

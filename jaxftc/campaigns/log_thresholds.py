@@ -24,7 +24,7 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.evaluation.intervals import tolerated
 from jaxftc.gains import Gains
-from jaxftc.logs.diagnose import stretches
+from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
 from jaxftc.schemes.diagnoser import SETTLE, stiction
 
@@ -110,7 +110,9 @@ def calibrate_on_logs(
     found = _peaks(config, _open(config, gains), logs)
     blocks = len(found.w)
     if blocks < LEAST_BLOCKS:
-        raise ValueError(f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed")
+        raise ValueError(
+            f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed"
+        )
     level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
@@ -202,14 +204,17 @@ def _open(config: Config, gains: Gains) -> Gains:
     return gains.replace(never)
 
 
-def _diagnosed(config: Config, gains: Gains, logs: list[Log]):  # noqa: ANN202
+def _diagnosed(config: Config, gains: Gains, logs: list[Log]):
+    stream = Stream(config, gains)
     for number, log in enumerate(logs, start=1):
-        for first, said in stretches(config, gains, log):
+        for first, said in stream.feed(log):
             for name in ("statistic_tau", "statistic_q", "jump"):
                 bad = ~np.isfinite(getattr(said, name))
                 if bad.any():
                     tick = first + int(np.argwhere(bad)[0][0])
-                    raise ValueError(f"log {number}: {name} is not finite at {tick * config.dt:.4g} s; look at the log there")
+                    raise ValueError(
+                        f"log {number}: {name} is not finite at {tick * config.dt:.4g} s; look at the log there"
+                    )
             yield first, said
 
 

@@ -24,7 +24,7 @@ class Demo(common.Options):
         from jaxftc.paper.page import demo_page
 
         robot = common.load_arm(self)
-        config = Config(robot, engine=self.engine)
+        config = Config(robot, dt=common.sample_time(self), engine=self.engine)
         gains = common.load_or_default(self, config)
         folder = common.make_folder(self, "demo")
         experiment = paper.run(config, gains, common.key(self))

@@ -16,6 +16,7 @@ import tyro
 from jaxftc.cli.calibrate import Calibrate
 from jaxftc.cli.campaign import Campaign
 from jaxftc.cli.demo import Demo
+from jaxftc.cli.diagnose import Diagnose
 from jaxftc.cli.identify import Identify
 from jaxftc.cli.inspect import Inspect
 from jaxftc.cli.simulate import Simulate
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Any] = {
     "campaign": Campaign,
     "identify": Identify,
     "calibrate": Calibrate,
+    "diagnose": Diagnose,
     "view": View,
 }
 DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."

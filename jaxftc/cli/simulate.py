@@ -92,6 +92,7 @@ class Simulate(common.Options):
                 raise ValueError(f"--{name} must be a finite number, got {getattr(self, name)}")
         config = Config(
             common.load_arm(self),
+            dt=common.sample_time(self),
             engine=self.engine,
             observer=self.observer,
             control=self.control,
@@ -125,7 +126,9 @@ class Simulate(common.Options):
         asked = store.read_manifest(self.campaign)["request"]
         arm = {"robot": asked["robot"], "tip": asked.get("tip"), "lock": tuple(asked.get("lock", ()))}
         options = dataclasses.replace(self, **arm, coulomb=asked["coulomb"] and asked["robot"] == "puma560")
-        base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
+        base = Config(
+            common.load_arm(options), dt=asked.get("dt", 1e-3), engine=asked["engine"], duration=asked.get("duration")
+        )
         job = load(self.campaign, base)
         row, trace = again(job, self.id)
         stored = store.read_rows(self.campaign, self.id + 1, where=f"scenario_id = {self.id}")

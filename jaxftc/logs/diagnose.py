@@ -1,4 +1,4 @@
-"""What the diagnosis says of a recorded log: all at once, or stretch by stretch for recordings of any length."""
+"""What the diagnosis says of a recorded log: all at once, or piece by piece for recordings of any length."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.gains import Gains, align
+from jaxftc.gains import Gains, align, specs
 from jaxftc.logs.log import Log
 from jaxftc.schemes import diagnoser
 from jaxftc.schemes.diagnoser import Diagnoser, Diagnosis, Measurement
@@ -27,55 +27,73 @@ def diagnose(config: Config, gains: Gains, log: Log) -> Diagnosis:
         gains: May have one scenario axis.
         log: With torques, or without: then readings alone are judged.
 
+    Returns:
+        The diagnosis of every tick.
+
     Raises:
         ValueError: a gain is not allowed, the observer is unstable, or the log is of another arm or sample time.
     """
-    parts = [said for _, said in stretches(config, gains, log)]
+    parts = [said for _, said in Stream(config, gains).feed(log)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def stretches(config: Config, gains: Gains, log: Log, state: Any = None) -> Iterator[tuple[int, Diagnosis]]:
-    """Diagnosis of at most CHUNK ticks at a time, and the tick that it begins at.
+class Stream:
+    """A diagnosis that goes on from piece to piece of a recording.
 
     Raises:
-        ValueError: as ``diagnose``.
+        ValueError: a gain is not allowed, or the observer is unstable.
     """
-    Diagnoser(config, gains)  # refuses what cannot be used
-    q, tau = np.asarray(log.q), np.asarray(log.tau)
-    for name, value in (("q", q), ("tau", tau)):
-        if value.ndim != 2 or value.shape != (len(q), config.n):
-            raise ValueError(f"log.{name} must be [T, {config.n}], ticks first, got shape {value.shape}")
-    if log.dt is not None and abs(log.dt - config.dt) > 1e-6 * config.dt:
-        raise ValueError(f"the log is at {log.dt:g} s and the config at {config.dt:g} s; give the log's: Config(robot, dt=...)")
-    axes = max(leaf.ndim - rank for leaf, rank in zip(jax.tree.leaves(gains), _ranks(), strict=True))
-    gains, dtype = align(gains, axes), gains.arx.xi_a.dtype
-    swept = np.broadcast_shapes(*(leaf.shape[rank:] for leaf, rank in zip(jax.tree.leaves(gains), _ranks(), strict=True)))
-    for start, stop in log.stretches:
-        state = None
-        for first in range(start, stop, CHUNK):
-            last = min(first + CHUNK, stop)
-            signals = [np.full((CHUNK, config.n), np.nan, dtype) for _ in range(2)]
-            for signal, whole in zip(signals, (q, tau), strict=True):
-                signal[: last - first] = whole[first:last]
-            if state is None:
-                at = np.where(np.isfinite(signals[0][0]), signals[0][0], 0.0)
-                state = _init(config, gains, np.broadcast_to(at.reshape(-1, *[1] * len(swept)), (config.n, *swept)))
-            state, said = _run(config, gains, state, *signals)
-            yield first, jax.tree.map(lambda leaf: np.asarray(leaf[: last - first]), said)  # noqa: B023
+
+    def __init__(self, config: Config, gains: Gains) -> None:
+        Diagnoser(config, gains)  # refuses what cannot be used
+        leaves, ranks = jax.tree.leaves(gains), [len(spec.axes) for _, _, spec in specs()]
+        self.swept = np.broadcast_shapes(*(leaf.shape[rank:] for leaf, rank in zip(leaves, ranks, strict=True)))
+        self.config, self.gains, self.dtype = config, align(gains, len(self.swept)), gains.arx.xi_a.dtype
+        self.state: Any = None
+
+    def feed(self, log: Log, *, goes_on: bool = False) -> Iterator[tuple[int, Diagnosis]]:
+        """Diagnosis of at most CHUNK ticks at a time, and the tick of the log that it begins at.
+
+        ``goes_on`` says that the log follows the last one without a gap.
+
+        Raises:
+            ValueError: the log is of another arm or sample time.
+        """
+        n, dt = self.config.n, self.config.dt
+        q, tau = np.asarray(log.q), np.asarray(log.tau)
+        for name, value in (("q", q), ("tau", tau)):
+            if value.ndim != 2 or value.shape != (len(q), n):
+                raise ValueError(f"log.{name} must be [T, {n}], ticks first, got shape {value.shape}")
+        if log.dt is not None and abs(log.dt - dt) > 1e-6 * dt:
+            raise ValueError(f"the log is at {log.dt:g} s, the config at {dt:g} s; give the log's: Config(robot, dt=log.dt)")
+        for k, (start, stop) in enumerate(log.stretches):
+            if k or not goes_on:
+                self.state = None
+            for first in range(start, stop, CHUNK):
+                last = min(first + CHUNK, stop)
+                yield first, self._advance(q[first:last], tau[first:last])
+
+    def _advance(self, q: np.ndarray, tau: np.ndarray) -> Diagnosis:
+        signals = [np.full((CHUNK, self.config.n), np.nan, self.dtype) for _ in range(2)]
+        signals[0][: len(q)], signals[1][: len(q)] = q, tau
+        if self.state is None:
+            at = np.where(np.isfinite(signals[0][0]), signals[0][0], 0.0).astype(self.dtype)
+            at = np.broadcast_to(at.reshape(-1, *[1] * len(self.swept)), (self.config.n, *self.swept))
+            self.state = _init(self.config, self.gains, at)
+        self.state, said = _run(self.config, self.gains, self.state, np.int32(len(q)), *signals)
+        return jax.tree.map(lambda leaf: np.asarray(leaf[: len(q)]), said)
 
 
-def _ranks() -> list[int]:
-    from jaxftc.gains import specs
+def _scan(config: Config, gains: Gains, state: Any, count: Any, q: Any, tau: Any) -> tuple[Any, Diagnosis]:
+    """The first ``count`` of the rows; the state stays what it is in the others, which fill the program up."""
 
-    return [len(spec.axes) for _, _, spec in specs()]
-
-
-def _scan(config: Config, gains: Gains, state: Any, q: Any, tau: Any) -> tuple[Any, Diagnosis]:
     def body(state: Any, row: Any) -> tuple[Any, Diagnosis]:
-        row = [jnp.broadcast_to(x.reshape(-1, *[1] * (state.q.ndim - 1)), state.q.shape) for x in row]
-        return diagnoser.step(config, gains, state, Measurement(*row))
+        k, *signals = row
+        signals = [jnp.broadcast_to(x.reshape(-1, *[1] * (state.q.ndim - 1)), state.q.shape) for x in signals]
+        after, said = diagnoser.step(config, gains, state, Measurement(*signals))
+        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), after, state), said
 
-    return jax.lax.scan(body, state, (q, tau))
+    return jax.lax.scan(body, state, (jnp.arange(len(q)), q, tau))
 
 
 _run = jit(_scan, static_argnums=0)

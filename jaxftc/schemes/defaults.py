@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.gains import BLOCKS, Gains, build, shape_of, specs
 from jaxftc.observer.readout import exact
