@@ -24,6 +24,7 @@ _ROOMS = {
     "config": ("Config",),
     "schemes.cascade": ("State",),
     "schemes.defaults": ("default_gains",),
+    "schemes.diagnoser": ("Diagnoser",),
     "scenarios.preset": ("Preset",),
     "scenarios.preset_file": ("load_preset",),
     "scenarios.sample": ("sample_scenarios",),

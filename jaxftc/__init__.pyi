@@ -33,6 +33,7 @@ from jaxftc.scenarios.scenario import healthy_scenario as healthy_scenario
 from jaxftc.scenarios.scenario import paper_scenario as paper_scenario
 from jaxftc.schemes.cascade import State as State
 from jaxftc.schemes.defaults import default_gains as default_gains
+from jaxftc.schemes.diagnoser import Diagnoser as Diagnoser
 from jaxftc.schemes.registry import init as init
 from jaxftc.schemes.registry import step as step
 from jaxftc.simulation.closed_loop import Trace as Trace

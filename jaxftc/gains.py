@@ -119,6 +119,9 @@ class DiagnosisGains:
     lam_q: Array = gain("n", "1", 1.0, low=0.0, high=1.0, doc="the same weight in the encoder channel")
     leak_tau: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="l, forgetting of that mean per tick")
     leak_q: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="the same in the encoder channel")
+    stiction: Array = gain(
+        "n", "N m", 0.0, low=0.0, doc="residual that a standing joint may hold by friction, for the Diagnoser"
+    )
 
 
 @block

@@ -28,6 +28,7 @@ REDUCED = {  # options added to the printed commands before they run here: their
     "tune": "--steps 2 --batch 4 --validation 4 --held-out 4 --duration 0.2",
     "campaign": "-n 16",
     "calibrate": "--runs 600 --duration 0.2",
+    "identify": "",
     "bench": "--quick",
     "view": "",
     "inspect": "",
@@ -178,8 +179,8 @@ def test_every_printed_command_is_one_of_ours_or_said_not_to_run():
 def test_commands_run(page, run, tmp_path):
     """One after the other in one folder, as the page has them, with less to do each."""
     own_files(page, tmp_path)
-    if page == "own-arm.md":
-        run_python(run, tmp_path, page)  # it writes the robot file
+    if page in ("own-arm.md", "recordings.md"):
+        run_python(run, tmp_path, page)  # it writes the robot file, and logs
     done = set()
     for line in lines(page):
         if line.startswith(tuple(NOT_RUN)):

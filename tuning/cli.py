@@ -89,6 +89,7 @@ class Tune(common.Options):
         common.look_here_for(self.scheme)
         config = Config(
             common.load_arm(self),
+            dt=common.sample_time(self),
             engine=self.engine,
             scheme=self.scheme,
             observer=self.observer,

@@ -18,10 +18,8 @@ from jaxftc.campaigns.run import scores
 from jaxftc.config import Config
 from jaxftc.evaluation.intervals import Interval, share, tolerated
 from jaxftc.gains import Gains
-from jaxftc.logs import diagnose
-from jaxftc.logs.log import Log
 from jaxftc.scenarios.scenario import Scenario, take
-from jaxftc.types import Array, Output
+from jaxftc.types import Array
 
 ROUNDS, SETTLED = 8, 0.02  # at most; relative change of the thresholds that ends them
 LEAST_TAU = 1e-4  # of the torque limit: no threshold is lower, where a statistic is always 0
@@ -94,23 +92,6 @@ def calibrate(
     return _settle(config, gains, peaks, false_alarms, confidence)
 
 
-def calibrate_on_logs(
-    config: Config, gains: Gains, logs: list[Log], *, false_alarms: float = 0.01, confidence: float = 0.95
-) -> Calibration:
-    """The same on healthy logs: every ``config.ticks`` ticks of a log count as a run; every other one checks the result.
-
-    Raises:
-        ValueError: too few runs in the logs for that share and confidence, or no threshold can reach it.
-    """
-    enough(sum(len(log.q) // config.ticks for log in logs), false_alarms, confidence)
-
-    def peaks(gains: Gains, part: int) -> Peaks:
-        pieces = [_windows(config, diagnose(config, gains, log)) for log in logs]
-        return Peaks(*(np.concatenate(leaves, axis=-1)[..., part::2] for leaves in zip(*pieces, strict=True)))
-
-    return _settle(config, gains, peaks, false_alarms, confidence)
-
-
 def enough(runs: int, false_alarms: float, confidence: float) -> int:
     """The number of runs that set the thresholds: half of them, or one more.
 
@@ -122,22 +103,6 @@ def enough(runs: int, false_alarms: float, confidence: float) -> int:
     if runs < 2:
         raise ValueError(f"{runs} healthy run is too few: one sets the thresholds and another checks them; give at least 2")
     return half
-
-
-def _windows(config: Config, out: Output) -> Peaks:
-    """Peaks of each ``config.ticks`` ticks of a run; what is left over is dropped."""
-    size = np.abs(np.asarray(out.statistic_tau, float))
-    lasting = np.stack([size[k : len(size) + 1 + k - config.alarm_ticks] for k in range(config.alarm_ticks)]).min(0)
-    lasting = np.concatenate([np.zeros((config.alarm_ticks - 1, config.n)), lasting])
-    angle, suspect = np.abs(np.asarray(out.statistic_q, float)), np.asarray(out.suspect) > 0
-    ratio = np.maximum(lasting / np.asarray(out.threshold_tau), angle / np.asarray(out.threshold_q)).max(1)
-    recent = np.concatenate([np.zeros(config.transient_ticks), ratio])  # an alarm may call the sensor check, for so long
-    recent = np.stack([recent[k : k + len(ratio)] for k in range(config.transient_ticks + 1)]).max(0)
-    begins = suspect & ~np.concatenate([np.zeros_like(suspect[:1]), suspect[:-1]])
-    checked = begins.any(1) & (recent < 1)
-    count = len(size) // config.ticks
-    cut = [x[: count * config.ticks].reshape(count, config.ticks, -1).max(1).T for x in (lasting, angle, checked[:, None])]
-    return Peaks(cut[0], cut[1], cut[2][0] > 0)
 
 
 def _settle(

@@ -11,8 +11,11 @@ from jaxftc.cli.campaign import Laws
 
 if TYPE_CHECKING:
     from jaxftc.campaigns.calibrate import Calibration
+    from jaxftc.campaigns.log_thresholds import LogCalibration
     from jaxftc.config import Config
     from jaxftc.gains import Gains
+    from jaxftc.logs.log import Log
+    from jaxftc.robot.arm_file import Arm
 
 
 @dataclasses.dataclass
@@ -34,22 +37,32 @@ class Calibrate(Laws):
     runs: int = 8192
     """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
     logs: tuple[Path, ...] = ()
-    """Logs to use instead, CSV or Parquet: t in s, q1, q2, ... in rad, tau1, tau2, ... in N m. Every --duration s (1 s) of
-    them counts as a run."""
+    """Logs of the healthy arm to use instead, of any form that jaxftc diagnose reads; the gains are then for it. A run is
+    --duration s of them, a whole log on average if not given."""
+    columns: tuple[str, ...] = ()
+    """Columns of the logs by our name, where they are not found: t=stamp q1=pos_a tau1=-torque_a."""
+    torque_per_ampere: tuple[float, ...] = ()
+    """N m for one ampere where currents were recorded: one number, or one a joint."""
+    degrees: bool | None = None
+    """Angles of the logs are in degrees; found out if not given."""
+    check: bool = True
+    """Hold the columns of the logs against the model."""
 
     def run(self) -> None:
         """Set, check, write."""
         from jaxftc import checks
 
         checks.integer("--runs", self.runs, 2, "half of them set the thresholds, half check them", high=1_000_000)
+        if self.logs:
+            self._on_logs()
+            return
         common.prepare(self, many=True)
         from tqdm import tqdm
 
         from jaxftc import save_gains
-        from jaxftc.campaigns.calibrate import by_joint, calibrate_on_logs, enough
+        from jaxftc.campaigns.calibrate import by_joint, enough
         from jaxftc.campaigns.spec import as_record, set_thresholds, variant
         from jaxftc.cli import record
-        from jaxftc.logs import read
         from jaxftc.schemes.registry import scheme
 
         common.look_here_for(self.scheme)
@@ -61,19 +74,47 @@ class Calibrate(Laws):
         job = self.job(base, self.scheme)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
-        share = {"false_alarms": self.false_alarms, "confidence": self.confidence}
-        logs = [read(path, job.config) for path in self.logs]
-        enough(sum(len(log.q) // job.config.ticks for log in logs) if logs else self.runs, **share)
+        enough(self.runs, self.false_alarms, self.confidence)
         with common.folder(self, "calibrate") as folder:
-            if logs:
-                found = calibrate_on_logs(job.config, job.gains, logs, **share)
-            else:
-                with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
-                    found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
+            with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
+                found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
             save_gains(folder / "gains.toml", found.gains, job.config)
             result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
             text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
         common.say(self, table(job.config, job.gains, found))
+        common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
+        if self.json:
+            print(text)
+
+    def _on_logs(self) -> None:
+        """Thresholds for jaxftc diagnose."""
+        if self.scheme != "cascade" or self.lead is not None:
+            raise ValueError("--scheme and --lead do nothing with --logs: the thresholds are those of jaxftc diagnose")
+        common.prepare(self)
+        from jaxftc import default_gains, load_gains, save_gains
+        from jaxftc.campaigns.calibrate import by_joint
+        from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
+        from jaxftc.cli import record
+        from jaxftc.cli.diagnose import log_config, without_offset
+        from jaxftc.cli.identify import read_logs
+
+        arm = common.whole_arm(self.robot, self.tip, self.lock)
+        logs = [without_offset(log, arm) for log in read_logs(self, self.logs, arm)]
+        config = log_config(arm.robot, logs[0].dt or 1e-3)
+        logs = one_rate(self, logs, arm, config)
+        if self.gains is None:
+            gains = default_gains(config, noise=reading_noise(config, default_gains(config), logs))
+        else:
+            gains = load_gains(self.gains, config)
+        found = calibrate_on_logs(
+            config, gains, logs, false_alarms=self.false_alarms, confidence=self.confidence, run=self.duration
+        )
+        with common.folder(self, "calibrate") as folder:
+            save_gains(folder / "gains.toml", found.gains, config)
+            result = found.promise._asdict() | by_joint(config, found.gains) | {"gains": str(folder / "gains.toml")}
+            result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]}
+            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
+        common.say(self, log_table(config, gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:
             print(text)
@@ -88,15 +129,48 @@ def with_lead(config: Config, gains: Gains, lead: float) -> Gains:
     return gains
 
 
+def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> list[Log]:
+    """The logs, those of another rate than the first read again at its sample time."""
+    from jaxftc import logs as module
+
+    kept = []
+    for path, log in zip(options.logs, logs, strict=True):
+        if abs((log.dt or config.dt) - config.dt) > 1e-6 * config.dt:
+            again = module.read(path, config, recording=arm.recording, check=False)
+            log = without_offset_of(again, arm)
+            common.say(options, f"{path.name}: brought to the {1e3 * config.dt:g} ms of the first log")
+        kept.append(log)
+    return kept
+
+
+def without_offset_of(log: Log, arm: Arm) -> Log:
+    """As ``diagnose`` takes it."""
+    from jaxftc.cli.diagnose import without_offset
+
+    return without_offset(log, arm)
+
+
+def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
+    """Thresholds, and what the healthy time can promise."""
+    promise = found.promise
+    lines = levels(config, before, found.gains)
+    lines.append(
+        f"\n{promise.healthy_s:.4g} s of healthy motion, {promise.seen} alarms in it: by that alone at most "
+        f"{promise.at_most_per_hour:.3g} alarms an hour, with {100 * promise.confidence:g} % confidence"
+    )
+    if promise.method == "tail":
+        lines.append(
+            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s ({promise.wanted_per_hour:.3g} alarms "
+            "an hour) by counting: thresholds are EXTRAPOLATED from a fitted tail; record more for a promise"
+        )
+    else:
+        lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")
+    return "\n".join(lines)
+
+
 def table(config: Config, before: Gains, found: Calibration) -> str:
     """Thresholds before and after, and what they reach."""
-    from jaxftc.campaigns.calibrate import by_joint
-
-    was, now = by_joint(config, before), by_joint(config, found.gains)
-    lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
-    for name in config.robot.joint_names:
-        torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
-        lines.append(f"{name:10}{torque:>28}{angle:>30}")
+    lines = levels(config, before, found.gains)
     low, high = found.reached[1:]
     lines.append(
         f"\nfalse alarms: {100 * found.reached.value:.2f} % of {found.fresh} fresh healthy runs, 95 % [{100 * low:.2f}, "
@@ -109,3 +183,13 @@ def table(config: Config, before: Gains, found: Calibration) -> str:
     )
     lines += [] if found.settled else [f"the thresholds still moved after {found.rounds} rounds"]
     return "\n".join(lines)
+
+
+def levels(config: Config, before: Gains, after: Gains) -> list[str]:
+    """Thresholds before and after, a line a joint."""
+    was, now = by_joint(config, before), by_joint(config, after)
+    lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
+    for name in config.robot.joint_names:
+        torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
+        lines.append(f"{name:10}{torque:>28}{angle:>30}")
+    return lines

@@ -36,7 +36,7 @@ class Laws(common.Options):
         """Robot, engine and timing, before a scheme is chosen."""
         from jaxftc import Config
 
-        return Config(common.load_arm(self), engine=self.engine, duration=self.duration)
+        return Config(common.load_arm(self), dt=common.sample_time(self), engine=self.engine, duration=self.duration)
 
     def job(self, base: Config, scheme: str) -> Job:
         """Everything that a row of a scheme depends on, with the gains that were asked for."""
@@ -203,6 +203,7 @@ class Campaign(Laws):
         request |= {"seed": self.seed, "preset": [self.preset, fingerprint(tomli_w.dumps(as_dict(job.preset)))]}
         request |= {} if self.tip is None else {"tip": self.tip}
         request |= {"lock": list(self.lock)} if self.lock else {}
+        request |= {} if self.dt is None else {"dt": self.dt}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         if self.gains is not None:

@@ -67,6 +67,8 @@ class Options(ArmOptions):
     """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
     gains: Path | None = None
     """Gains file (TOML); the default gains if not given."""
+    dt: float | None = None
+    """Sample time of the controller, s; 0.001 if not given. A log's own is found from the log."""
     seed: int = 0
     """Seed of the encoder noise."""
 
@@ -191,6 +193,16 @@ def numbers(option: str, words: tuple[str, ...], example: str = "elbow=0.5") -> 
             raise ValueError(f"{option} has {name!r} twice; give it once")
         found[name] = value
     return found
+
+
+def sample_time(options: Options) -> float:
+    """The sample time that ``--dt`` names, s."""
+    from jaxftc import checks
+
+    if options.dt is None:
+        return 1e-3
+    checks.positive("--dt", options.dt, "seconds")
+    return options.dt
 
 
 def load_or_default(options: Options, config: Config) -> Gains:

@@ -25,7 +25,7 @@ class Demo(common.Options):
         from jaxftc.paper.page import demo_page
 
         robot = common.load_arm(self)
-        config = Config(robot, engine=self.engine)
+        config = Config(robot, dt=common.sample_time(self), engine=self.engine)
         gains = common.load_or_default(self, config)
         key = common.key(self)
         with common.folder(self, "demo") as folder:

@@ -32,22 +32,27 @@ class LogOptions:
     """Hold the columns against the model."""
 
 
-def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
-    """Logs with the options of the command; what was found in each is said."""
-    from jaxftc import logs
-
+def column_names(pairs: tuple[str, ...]) -> dict[str, str] | None:
+    """Our names and the file's, from ``--columns``."""
     given = {}
-    for pair in options.columns:
+    for pair in pairs:
         key, mark, name = pair.partition("=")
         if not mark or not name:
             raise ValueError(f"--columns takes pairs such as q1=position_1, got {pair!r}")
         given[key] = name
-    found = []
+    return given or None
+
+
+def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
+    """Logs with the options of the command; what was found in each is said."""
+    from jaxftc import logs
+
+    given, found = column_names(options.columns), []
     for path in paths:
         log = logs.read(
             path,
             arm,
-            columns=given or None,
+            columns=given,
             dt=options.dt,
             degrees=options.degrees,
             torque_per_ampere=options.torque_per_ampere or None,

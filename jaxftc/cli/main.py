@@ -26,6 +26,7 @@ COMMANDS = {
     "campaign": "jaxftc.cli.campaign:Campaign",
     "identify": "jaxftc.cli.identify:Identify",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
+    "diagnose": "jaxftc.cli.diagnose:Diagnose",
     "export": "jaxftc.cli.export:Export",
     "view": "jaxftc.cli.view:View",
 }

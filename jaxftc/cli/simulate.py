@@ -109,6 +109,7 @@ class Simulate(common.Options):
                 raise ValueError(f"--{name} must be a finite number, got {getattr(self, name)}")
         config = Config(
             common.load_arm(self),
+            dt=common.sample_time(self),
             engine=self.engine,
             observer=self.observer,
             control=self.control,
@@ -142,7 +143,9 @@ class Simulate(common.Options):
         arm = {"robot": asked["robot"], "tip": asked.get("tip"), "lock": tuple(asked.get("lock", ()))}
         options = dataclasses.replace(self, **arm, coulomb=asked["coulomb"] and asked["robot"] == "puma560")
         common.look_here_for(name)
-        base = Config(common.load_arm(options), engine=asked["engine"], duration=asked.get("duration"))
+        base = Config(
+            common.load_arm(options), dt=asked.get("dt", 1e-3), engine=asked["engine"], duration=asked.get("duration")
+        )
         job = load(self.campaign, base)
         stored = store.read_rows(self.campaign, self.id + 1, first=self.id)
         title = f"scenario {self.id} of {self.campaign}, scheme {name}"

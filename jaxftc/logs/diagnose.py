@@ -1,41 +1,100 @@
-"""What the controller would have said of a recorded log."""
+"""What the diagnosis says of a recorded log: all at once, or piece by piece for recordings of any length."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.signal import savgol_filter
 
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.gains import Gains
+from jaxftc.gains import Gains, align, specs
 from jaxftc.logs.log import Log
-from jaxftc.schemes import registry
-from jaxftc.types import Measurement, Output, Reference
+from jaxftc.schemes import diagnoser
+from jaxftc.schemes.diagnoser import Diagnoser, Diagnosis, Measurement
 
-SMOOTHING = 31  # readings that the speed of the motion is taken from
+CHUNK = 4096  # ticks of one call of the compiled program: every recording runs on the same one
 
 
-def diagnose(config: Config, gains: Gains, log: Log) -> Output:
-    """What the controller would have said of a log, [T, n]; its own commands go nowhere.
+def diagnose(config: Config, gains: Gains, log: Log) -> Diagnosis:
+    """What the diagnosis says of a log, [T, n, ...]; it starts anew in each of the log's segments.
 
-    A log does not say which motion was wanted: the one that was made takes its place, smoothed; the friction model needs it.
+    Args:
+        config: Robot and sample time, the log's.
+        gains: May have one scenario axis.
+        log: With torques, or without: then readings alone are judged.
+
+    Returns:
+        The diagnosis of every tick.
+
+    Raises:
+        ValueError: a gain is not allowed, the observer is unstable, or the log is of another arm or sample time.
     """
-    window = {"window_length": SMOOTHING, "polyorder": 3, "axis": 0, "delta": config.dt}
-    motion = [savgol_filter(np.asarray(log.q), deriv=d, **window) for d in range(3)]
-    dtype = gains.arx.xi_a.dtype
-    reference = Reference(*(jnp.asarray(x, dtype) for x in motion))
-    q, tau = jnp.asarray(log.q, dtype), jnp.asarray(log.tau, dtype)
-    before = jnp.full_like(tau[:1], jnp.nan)  # unknown: the arm was at rest, held as the controller itself would hold it
-    return _diagnose(config, gains, reference, Measurement(q, jnp.concatenate([before, tau[:-1]])))
+    parts = [said for _, said in Stream(config, gains).feed(log)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 
 
-def _diagnose(config: Config, gains: Gains, reference: Reference, measurement: Measurement) -> Output:
-    def body(state, told):
-        return registry.step(config, gains, state, *told)
+class Stream:
+    """A diagnosis that goes on from piece to piece of a recording.
 
-    return jax.lax.scan(body, registry.init(config, gains, measurement.q[0]), (reference, measurement))[1]
+    Raises:
+        ValueError: a gain is not allowed, or the observer is unstable.
+    """
+
+    def __init__(self, config: Config, gains: Gains) -> None:
+        Diagnoser(config, gains)  # refuses what cannot be used
+        leaves, ranks = jax.tree.leaves(gains), [len(spec.axes) for _, _, spec in specs()]
+        self.swept = np.broadcast_shapes(*(leaf.shape[rank:] for leaf, rank in zip(leaves, ranks, strict=True)))
+        self.config, self.gains, self.dtype = config, align(gains, len(self.swept)), gains.arx.xi_a.dtype
+        self.state: Any = None
+
+    def feed(self, log: Log, *, goes_on: bool = False) -> Iterator[tuple[int, Diagnosis]]:
+        """Diagnosis of at most CHUNK ticks at a time, and the tick of the log that it begins at.
+
+        ``goes_on`` says that the log follows the last one without a gap.
+
+        Raises:
+            ValueError: the log is of another arm or sample time.
+        """
+        n, dt = self.config.n, self.config.dt
+        q, tau = np.asarray(log.q), np.asarray(log.tau)
+        for name, value in (("q", q), ("tau", tau)):
+            if value.ndim != 2 or value.shape != (len(q), n):
+                raise ValueError(f"log.{name} must be [T, {n}], ticks first, got shape {value.shape}")
+        if log.dt is not None and abs(log.dt - dt) > 1e-6 * dt:
+            raise ValueError(f"the log is at {log.dt:g} s, the config at {dt:g} s; give the log's: Config(robot, dt=log.dt)")
+        for k, (start, stop) in enumerate(log.stretches):
+            if k or not goes_on:
+                self.state = None
+            for first in range(start, stop, CHUNK):
+                last = min(first + CHUNK, stop)
+                yield first, self._advance(q[first:last], tau[first:last])
+
+    def _advance(self, q: np.ndarray, tau: np.ndarray) -> Diagnosis:
+        signals = [np.full((CHUNK, self.config.n), np.nan, self.dtype) for _ in range(2)]
+        signals[0][: len(q)], signals[1][: len(q)] = q, tau
+        if self.state is None:
+            at = np.where(np.isfinite(signals[0][0]), signals[0][0], 0.0).astype(self.dtype)
+            at = np.broadcast_to(at.reshape(-1, *[1] * len(self.swept)), (self.config.n, *self.swept))
+            self.state = _init(self.config, self.gains, at)
+        self.state, said = _run(self.config, self.gains, self.state, np.int32(len(q)), *signals)
+        return jax.tree.map(lambda leaf: np.asarray(leaf[: len(q)]), said)
 
 
-_diagnose = jit(_diagnose, static_argnums=0)
+def _scan(config: Config, gains: Gains, state: Any, count: Any, q: Any, tau: Any) -> tuple[Any, Diagnosis]:
+    """The first ``count`` of the rows; the state stays what it is in the others, which fill the program up."""
+
+    def body(state: Any, row: Any) -> tuple[Any, Diagnosis]:
+        k, *signals = row
+        signals = [jnp.broadcast_to(x.reshape(-1, *[1] * (state.q.ndim - 1)), state.q.shape) for x in signals]
+        after, said = diagnoser.step(config, gains, state, Measurement(*signals))
+        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), after, state), said
+
+    return jax.lax.scan(body, state, (jnp.arange(len(q)), q, tau))
+
+
+_run = jit(_scan, static_argnums=0)
+_init = jit(diagnoser.init, static_argnums=0)

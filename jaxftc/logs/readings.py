@@ -56,6 +56,6 @@ def other_rows(t: np.ndarray, q: np.ndarray, tau: np.ndarray | None, rows: np.nd
     j = int(steps[max(first - 1, 0)].argmax())
     return (
         f"row {rows[first] + 1}, column of joint {j + 1}: {q[first, j]:.6g} rad after {q[max(first - 1, 0), j]:.6g} rad, "
-        f"and other joints jump with it; {wild.sum()} such rows, the last is row {rows[last] + 1}: they are no readings "
-        "of this arm, so cut them out of the file"
+        f"and other joints jump with it; {wild.sum()} such rows, the last is row {rows[last] + 1}: they are no readings of "
+        "this arm, so cut them out of the file"
     )

@@ -6,7 +6,7 @@ from the arm's although its torques are right. What is measured of a torque is i
 the mean of two. Statistics, alarms and verdicts are the cascade's.
 
 * An arm that stands holds an unknown part of its weight by friction. Of a standing joint the residual is taken from its own
-  slow mean, as far as friction goes; a joint that moves has none to hide behind.
+  slow mean, as far as ``diagnosis.stiction`` goes; a joint that moves has no friction to hide behind.
 * A reading that is held to be wrong explains the torque residuals of all joints: their model was evaluated at it. A jump is
   taken out of the reading and explains nothing.
 
@@ -22,18 +22,15 @@ import numpy as np
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.control import surface
-from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
+from jaxftc.diagnosis import alarm, decision, statistics
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import kinematic, stability
-from jaxftc.robot import lanes
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import momentum
 from jaxftc.types import Array
 
 SETTLE = 0.3  # s in which nothing is said of torques, at the start and after a reading that was wrong
-STANDING = 0.01  # rad/s, of a joint's mean speed over a tenth of a second
 OFFSET = 1.0  # s in which the mean residual of a standing joint is learned
 RESTLESS = 0.2  # s in which it is forgotten once the joint moves
 HELD = 0.06  # of the torque limit: what gears hold by friction, where the model does not say more
@@ -43,18 +40,12 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     tracker: kinematic.State
-    qd: Array  # [n, ...] rad/s
-    mean_speed: Array  # [n, ...] rad/s, over a tenth of a second
     residual: momentum.Observer
-    tau: Array  # [n, ...] N m, last torque that came
+    tau: Array  # [n, ...] N m, last torque; not finite where it was not known
     offset: Array  # [n, ...] N m, mean residual of a standing joint
     age: Array  # [n, ...] ticks since the torque residual began
     statistics: statistics.State
     alarm: alarm.State
-    jumps: sensor_check.Jumps
-    freeze: sensor_check.Freeze
-    frozen: Array  # [n, ...] 1 where the reading is held to be frozen, else 0
-    longest: Array  # [n, ...] longest run of equal readings of a healthy encoder
 
     @property
     def q(self) -> Array:
@@ -91,118 +82,70 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     zero = jnp.zeros_like(q)
     return State(
         tracker=kinematic.init(config, gains, q),
-        qd=zero,
-        mean_speed=zero,
         residual=momentum.Observer(zero, *momentum.momentum(config.robot, q, zero)),
         tau=jnp.full_like(q, jnp.nan),
         offset=zero,
         age=zero,
         statistics=statistics.init(config, gains, q),
         alarm=alarm.init(config, gains, q),
-        jumps=sensor_check.Jumps(zero, zero),
-        freeze=sensor_check.Freeze(q, zero, zero, zero),
-        frozen=zero,
-        longest=zero,
     )
 
 
 def step(config: Config, gains: Gains, state: State, measurement: Measurement) -> tuple[State, Diagnosis]:
     """One tick: pure, jit-able, vmap-able."""
-    held = (state.frozen > 0) & (measurement.q == state.freeze.y)
-    reading = kinematic.Inputs(measurement.q, held, state.alarm.q > 0)
+    reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
-    qd = surface.speed(gains.control.speed_weight, state.qd, state.tracker.psi, state.q + seen.moved, seen.q_hat, config.dt)
-    qd = jnp.where(tracker.unread > kinematic.PATIENCE / config.dt, 0.0, qd)
-    mean_speed = state.mean_speed + jnp.minimum(1.0, config.dt / 0.1) * (qd - state.mean_speed)
-
-    jumps, many, _ = sensor_check.jump_rate(state.jumps, seen)
-    freeze, frozen, longest = _frozen(config, gains, state, seen, qd)
-    suspect = frozen | many
-    residual, age = _balance(config, gains, state, seen, qd, measurement.tau, suspect.any(0))
-    offset = _offset(config, state, residual.r, mean_speed, age)
-    settled = (age * config.dt >= SETTLE) & ~suspect.any(0)
+    residual, age = _balance(config, gains, state, seen, measurement.tau)
+    offset = _offset(config, gains, state, residual.r, seen.stands, age)
+    settled = age * config.dt >= SETTLE
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
     means, statistic = statistics.step(config, gains, state.statistics, watched)
     statistic = statistic._replace(tau=jnp.where(settled, statistic.tau, 0.0))
     alarms_next, alarms = alarm.step(config, gains, state.alarm, statistic)
-
     lost = ~(jnp.isfinite(statistic.tau) & jnp.isfinite(statistic.q))  # cannot be judged, which is not normal
-    verdict = decision.verdict(alarms.tau | lost, alarms.q | suspect | lost)
-    off = jnp.where(frozen & ~seen.absent, measurement.q - seen.q_hat, seen.b)
+    verdict = decision.verdict(alarms.tau | lost, alarms.q | seen.wrong | lost)
     said = Diagnosis(
         verdict=verdict,
         detected=(verdict > 0).any(0),
         fault_tau_hat=watched.tau,
-        fault_q_hat=off,
+        fault_q_hat=seen.fault_q,
         statistic_tau=statistic.tau,
         statistic_q=statistic.q,
-        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, qd.shape),
-        threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, qd.shape),
-        suspect=suspect.astype(qd.dtype),
+        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, verdict.shape),
+        threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, verdict.shape),
+        suspect=seen.wrong.astype(watched.tau.dtype),
         jump=seen.w,
         q_hat=seen.q_hat,
-        qd_hat=qd,
+        qd_hat=seen.qd_hat,
     )
-    tau = jnp.where(jnp.isfinite(measurement.tau), measurement.tau, jnp.nan)
-    state = State(
-        tracker,
-        qd,
-        mean_speed,
-        residual,
-        tau,
-        offset,
-        age,
-        means,
-        alarms_next,
-        jumps,
-        freeze,
-        frozen.astype(qd.dtype),
-        longest,
-    )
-    return state, said
-
-
-def _frozen(
-    config: Config, gains: Gains, state: State, seen: kinematic.Estimate, qd: Array
-) -> tuple[sensor_check.Freeze, Array, Array]:
-    """Readings that stay the same while the arm moves; longest run of a healthy encoder.
-
-    Of an encoder that never stood still so long before, an actuator alarm is enough to say that the arm moves.
-    """
-    inputs = sensor_check.Inputs(alarm.Alarms(qd > qd, qd > qd), qd, seen, qd, state.tracker.psi)
-    freeze, frozen = sensor_check.freeze(config, gains, state.freeze, inputs)
-    unlike = freeze.equal > 2 * state.longest + sensor_check.FROZEN_READINGS
-    frozen = frozen | (unlike & (freeze.equal * config.dt >= 0.1) & (state.alarm.tau > 0))
-    longest = jnp.where(frozen, state.longest, jnp.maximum(state.longest, freeze.equal))
-    return freeze, frozen, longest
+    return State(tracker, residual, measurement.tau, offset, age, means, alarms_next), said
 
 
 def _balance(
-    config: Config, gains: Gains, state: State, seen: kinematic.Estimate, qd: Array, tau: Array, wrong: Array
+    config: Config, gains: Gains, state: State, seen: kinematic.Estimate, tau: Array
 ) -> tuple[momentum.Observer, Array]:
     """Momentum residual of this tick [n, ...] N m, and its age in ticks.
 
-    A tick with a jump, or without a torque, tells nothing of the momentum. At first the residual is a mean of what there is.
+    A tick with a jump, or without a torque or a reading, tells nothing of the momentum. At first the residual is a mean of
+    what there is; after a reading that was wrong it begins anew.
     """
-    now = momentum.momentum(config.robot, seen.q_hat, qd)
-    before = state.residual
-    mean = momentum.Observer(before.r, before.p, 0.5 * (before.drift + now[1]))
-    start = 1 / (state.age + 1)
-    rate = jnp.maximum(gains.baseline.rate, -jnp.log1p(-jnp.minimum(start, 0.999)) / config.dt)
-    new = momentum.observe(gains.baseline, mean, now, 0.5 * (state.tau + tau), config.dt, rate)
+    now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
+    middle = before._replace(drift=0.5 * (before.drift + now[1]))
+    first = -jnp.log1p(-1 / (state.age + 1.001)) / config.dt  # a mean of all so far
+    rate = jnp.maximum(gains.baseline.rate, first)
+    r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, rate).r
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
-    blind = (seen.missing | (seen.jump.h_s > 0.1) | (state.tracker.unread > 0)).any(0)
-    r = jnp.where(known & ~blind, new.r, before.r)
-    restart = wrong | (state.tracker.unread > 0).any(0)
-    age = jnp.where(restart, 0.0, jnp.where(known, state.age + 1, state.age))
-    return momentum.Observer(jnp.where(restart, 0.0, r), *now), age
+    blind = (seen.missing | (seen.h_s > 0.1)).any(0)
+    wrong = seen.wrong.any(0)
+    age = jnp.where(wrong, 0.0, state.age + known)
+    return momentum.Observer(jnp.where(wrong, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
 
 
-def _offset(config: Config, state: State, r: Array, mean_speed: Array, age: Array) -> Array:
+def _offset(config: Config, gains: Gains, state: State, r: Array, stands: Array, age: Array) -> Array:
     """Mean residual of joints that stand, [n, ...] N m, within what friction can hold; held while there is an alarm."""
-    stands, dt = jnp.abs(mean_speed) < STANDING, config.dt
-    learn = jnp.maximum(dt / OFFSET, jnp.where(age * dt < SETTLE, 1.0, 0.0))
-    limit = lanes.trailing_constant(stiction(config.robot), r)
+    dt = config.dt
+    learn = jnp.where(age * dt < SETTLE, 1.0, min(1.0, dt / OFFSET))
+    limit = gains.diagnosis.stiction
     toward = jnp.clip(state.offset + learn * (r - state.offset), -limit, limit)
     moved = state.offset * (1 - min(1.0, dt / RESTLESS))
     return jnp.where(state.alarm.tau > 0, state.offset, jnp.where(stands, toward, moved))

@@ -1,0 +1,241 @@
+"""Thresholds from recordings of a healthy arm, however short they are.
+
+The diagnosis runs over the logs with thresholds that nothing reaches. Of every second the largest statistics are kept. Each
+joint and channel is scaled by its own largest one; what is left is one series, the largest of all, and one factor.
+
+* The factor is the order statistic that a binomial law allows with the wanted confidence, where the logs hold enough runs.
+* Otherwise it comes from a fitted tail: what lies above a high quantile follows a generalised Pareto law, its scale at the
+  upper end of its confidence interval. That is an extrapolation, and marked as one.
+
+The rate of the momentum observer is chosen for each joint: slow, it averages what the model has wrong of friction and
+acceleration; fast, it sees a fault sooner. The rate is taken whose threshold is smallest, longer waiting
+counted in: alpha (1 + WAIT / rate). The jump is set above what healthy readings show, and above what a torque may do to a joint in one sample time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from jaxftc import checks
+from jaxftc.config import Config
+from jaxftc.evaluation.intervals import tolerated
+from jaxftc.gains import Gains
+from jaxftc.logs.diagnose import Stream
+from jaxftc.logs.log import Log
+from jaxftc.schemes.diagnoser import SETTLE, stiction
+
+BLOCK = 1.0  # s, over which the largest statistic is taken
+RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
+FASTEST = 0.3  # of the sample rate
+WAIT = 2.0  # 1/s
+TAIL = 0.3  # share of the blocks that a tail is fitted to
+LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
+TRANSFER, FARTHEST = 1.25, 1.3  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
+# a minute has shown is not believed further out. The promise says what that leaves open.
+LEAST_JUMP = 1e-5  # rad, of w
+NEVER = 1e9  # a threshold that nothing reaches
+LEAST_BLOCKS = 10
+MIXED = 5  # blocks in a row that go to the same half
+STIFFENED = 0.5  # share to which a threshold must fall for a standing joint's residual to be forgiven
+LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.2)  # of the torque limit; rad
+PUSHES = 2.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
+
+
+class Promise(NamedTuple):
+    """What the healthy time allows to say."""
+
+    healthy_s: float  # s of logs
+    run_s: float  # s, length of a run
+    wanted: float  # share of runs with an alarm
+    confidence: float
+    method: str  # "sample", or "tail" where the level is extrapolated
+    wanted_per_hour: float  # alarms, for that share
+    seen: int  # alarms on the logs with the thresholds found
+    at_most_per_hour: float  # alarms, with that confidence, by the healthy time alone
+
+
+class LogCalibration(NamedTuple):
+    """Thresholds and what they promise."""
+
+    gains: Gains
+    promise: Promise
+    noise: np.ndarray  # [n] rad, standard deviation of the readings
+
+
+class _Peaks(NamedTuple):
+    tau: np.ndarray  # [blocks, n, rates] N m
+    w: np.ndarray  # [blocks, n] rad
+    psi: np.ndarray  # [n] rad/s^2, largest acceleration of the arm
+
+
+def reading_noise(config: Config, gains: Gains, logs: list[Log]) -> np.ndarray:
+    """Standard deviation [n] rad of the readings, steps of the encoder included, from what no acceleration explains."""
+    jumps = [np.abs(said.jump) for _, said in _diagnosed(config, _open(config, gains), logs)]
+    return np.maximum(np.quantile(np.concatenate(jumps), 0.95, axis=0)[:, 0] / (1.96 * math.sqrt(6)), 1e-9)
+
+
+def calibrate_on_logs(
+    config: Config,
+    gains: Gains,
+    logs: list[Log],
+    *,
+    false_alarms: float = 0.01,
+    confidence: float = 0.95,
+    run: float | None = None,
+) -> LogCalibration:
+    """Set thresholds, the jump and the momentum observer's rate on logs of a healthy arm, for ``Diagnoser`` and ``diagnose``.
+
+    Args:
+        config: Robot and sample time, the logs'.
+        gains: Where it begins: ``default_gains(config, noise=reading_noise(...))``.
+        logs: Of the healthy arm, in motions like those to come.
+        false_alarms: Share of healthy runs that may raise an alarm.
+        confidence: That the share is not larger.
+        run: s, length of a run; that of a log, on average, if not given.
+
+    Raises:
+        ValueError: a share outside (0, 1), logs that are too short, or statistics that are not finite.
+    """
+    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
+        if not 0 < value < 1:
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
+    healthy = sum(len(log.q) for log in logs) * config.dt
+    run = healthy / len(logs) if run is None else run
+    checks.positive("run", run, "seconds")
+    noise = reading_noise(config, gains, logs)
+    found = _peaks(config, _open(config, gains), logs)
+    blocks = len(found.w)
+    if blocks < LEAST_BLOCKS:
+        raise ValueError(
+            f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed"
+        )
+    level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
+    half = len(_rates(config))
+    rests = largest[:, half:].min(1) < STIFFENED * largest[:, :half].min(1)  # of joints that stand, friction hides the most
+    which = np.where(rests, half + _best(largest[:, half:], _rates(config)), _best(largest[:, :half], _rates(config)))
+    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
+    series = np.take_along_axis(found.tau, np.broadcast_to(which[None, :, None], (blocks, config.n, 1)), 2)[..., 0]
+    alpha_tau = scale * level.factor(series)
+    widest = np.maximum(found.w.max(0), LEAST_JUMP)
+    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
+    changes = {
+        "diagnosis.alpha_tau": alpha_tau,
+        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
+        "diagnosis.lam_tau": 1.0,
+        "observer.jump": 2 * half_jump,
+        "baseline.rate": _rates(config)[which % half],
+        "diagnosis.stiction": np.where(rests, stiction(config.robot), 0.0),
+    }
+    gains = gains.replace(changes)
+    seen = sum(int(_rises(said.verdict)) for _, said in _diagnosed(config, gains, logs))
+    hours = healthy / 3600
+    promise = Promise(
+        healthy_s=healthy,
+        run_s=run,
+        wanted=false_alarms,
+        confidence=confidence,
+        method=level.method,
+        wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
+        seen=seen,
+        at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / hours),
+    )
+    return LogCalibration(gains, promise, noise)
+
+
+class _Level:
+    """The factor on the largest values seen, for blocks of a second."""
+
+    def __init__(self, false_alarms: float, confidence: float, blocks: int, per_run: int) -> None:
+        self.share, self.confidence, self.per_run = false_alarms, confidence, per_run
+        self.allowed = tolerated(blocks // per_run, false_alarms, confidence) if blocks >= per_run else -1
+        self.method = "sample" if self.allowed >= 0 else "tail"
+
+    def factor(self, peaks: np.ndarray) -> float:
+        """From the largest statistics [blocks, n] of every second, to be put on the largest of all of each joint.
+
+        Half of the blocks, in turns, are scaled by the largest of the other half: what has not been seen yet counts as much
+        as it did between the halves.
+        """
+        half = np.arange(len(peaks)) // MIXED % 2 == 0
+        largest = np.concatenate([(peaks[part] / peaks[~part].max(0)).max(1) for part in (half, ~half)])
+        return float(np.clip(self._of(largest), TRANSFER, math.inf if self.method == "sample" else FARTHEST))
+
+    def _of(self, largest: np.ndarray) -> float:
+        if self.method == "sample":
+            runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
+            return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
+        p = -math.expm1(math.log1p(-self.share) / self.per_run)  # of a block
+        ordered = np.sort(largest)
+        count = max(LEAST_TAIL, round(TAIL * len(ordered)))
+        base = ordered[-count - 1]
+        above = ordered[-count:] - base
+        above = above[above > 0]
+        if not len(above):
+            return float(base)
+        fitted = stats.genpareto.fit(above, floc=0)[0] if len(above) > LEAST_TAIL else 0.0
+        shape = float(np.clip(len(above) * fitted / (len(above) + MEMORY), -0.3, 0.3))
+        scale = above.mean() * (1 - shape)
+        ratio = max(count / len(ordered) / p, 1.0)
+        reach = math.log(ratio) if abs(shape) < 1e-6 else math.expm1(shape * math.log(ratio)) / shape
+        return float(base + scale * reach)
+
+
+def _rates(config: Config) -> np.ndarray:
+    """The rates that are tried, 1/s; always as many, so that one program serves every sample time."""
+    return np.minimum(RATES, FASTEST / config.dt)
+
+
+def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Which rate [n] has the smallest threshold with its delay counted in; largest [n, rates] N m."""
+    return (largest * (1 + WAIT / rates)).argmin(1)
+
+
+def _open(config: Config, gains: Gains) -> Gains:
+    """Gains with every rate side by side, without and with the friction of standing joints; thresholds that nothing reaches."""
+    never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
+    rates, held = np.tile(_rates(config), (config.n, 1)), np.tile(stiction(config.robot)[:, None], len(_rates(config)))
+    never |= {"baseline.rate": np.tile(rates, 2), "diagnosis.stiction": np.concatenate([0 * held, held], axis=1)}
+    return gains.replace(never)
+
+
+def _diagnosed(config: Config, gains: Gains, logs: list[Log]):
+    stream = Stream(config, gains)
+    for number, log in enumerate(logs, start=1):
+        for first, said in stream.feed(log):
+            for name in ("statistic_tau", "statistic_q", "jump"):
+                bad = ~np.isfinite(getattr(said, name))
+                if bad.any():
+                    tick = first + int(np.argwhere(bad)[0][0])
+                    raise ValueError(
+                        f"log {number}: {name} is not finite at {tick * config.dt:.4g} s; look at the log there"
+                    )
+            yield first, said
+
+
+def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
+    """Largest statistics of every block; what is left over at the end of a stretch counts as one."""
+    size = max(1, round(BLOCK / config.dt))
+    tau, w, speed, last = [], [], np.zeros(config.n), None
+    parts: list[tuple[np.ndarray, np.ndarray]] = []
+    for _, said in _diagnosed(config, gains, logs):
+        parts.append((np.abs(said.statistic_tau), np.abs(said.jump[..., 0])))
+        rate = np.abs(np.diff(said.qd_hat[..., 0], axis=0)) / config.dt
+        last = np.quantile(rate, 0.99, axis=0) if len(rate) else speed
+        speed = np.maximum(speed, last)
+    for torque, jump in parts:
+        for first in range(0, len(torque), size):
+            tau.append(torque[first : first + size].max(0))
+            w.append(jump[first : first + size].max(0))
+    return _Peaks(np.array(tau), np.array(w), speed)
+
+
+def _rises(verdict: np.ndarray) -> int:
+    """Times at which an alarm of the arm begins."""
+    up = (verdict > 0).any(1)
+    return int((up & ~np.r_[False, up[:-1]]).sum())

@@ -1,0 +1,205 @@
+"""``jaxftc diagnose``: what failed in a recording, where, when and by how much."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxftc.cli import common
+from jaxftc.cli.identify import LogOptions, column_names
+
+if TYPE_CHECKING:
+    from jaxftc.config import Config
+    from jaxftc.logs.log import Log
+    from jaxftc.robot.arm_file import Arm
+
+SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
+
+
+@dataclasses.dataclass
+class Diagnose(LogOptions, common.ArmOptions):
+    """Diagnose a recording under any controller; writes result.json, events.csv, samples.parquet and report.html.
+
+    Set the thresholds on healthy logs first: jaxftc calibrate --logs. A log without torques is judged by its readings alone.
+    """
+
+    log: Annotated[Path | None, tyro.conf.Positional] = None
+    """Log: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
+    gains: Path | None = None
+    """Gains of jaxftc calibrate --logs; default thresholds, of an exact model, if not given."""
+
+    def run(self) -> None:
+        """Read piece by piece, judge, write."""
+        if self.log is None:
+            raise ValueError("give a log: jaxftc diagnose LOG --robot FILE --gains FILE --out DIR")
+        common.prepare(self)
+        arm = common.whole_arm(self.robot, self.tip, self.lock)
+        with common.folder(self, "diagnose") as folder:
+            text = self._diagnose(self.log, arm, folder)
+        common.say(self, f"\nWritten to {folder}: events.csv, report.html, result.json, samples.parquet")
+        if self.json:
+            print(text)
+
+    def _diagnose(self, path: Path, arm: Arm, folder: Path) -> str:
+        """Everything that is written; the JSON of it."""
+        from tqdm import tqdm
+
+        from jaxftc.io.files import write_text
+        from jaxftc.logs import timeline
+        from jaxftc.logs.diagnose import Stream
+        from jaxftc.logs.pieces import pieces, rows
+        from jaxftc.report.diagnosis import Envelope, diagnosis_page
+
+        names = arm.robot.joint_names
+        curves = {"tau": Envelope(), "q": Envelope()}
+        notes: list[str] = []
+        found = stream = None
+        duration = 0.0
+        with (
+            Samples(folder / "samples.parquet", names) as samples,
+            tqdm(total=rows(path), desc="diagnose", unit="row", unit_scale=True, leave=False) as bar,
+        ):
+            for log, begins, goes_on in pieces(path, arm, lambda dt: log_config(arm.robot, dt), **self._reading()):
+                notes += [note for note in log.notes if note not in notes]
+                log = without_offset(log, arm)
+                if stream is None:
+                    config = log_config(arm.robot, log.dt or 1e-3)
+                    stream = Stream(config, self._gains(arm, config))
+                    found = timeline.Timeline(names, config.dt)
+                assert found is not None
+                t = log.t if log.t is not None else stream.config.dt * np_arange(len(log.q))
+                for first, said in stream.feed(log, goes_on=goes_on):
+                    found.add(said, begins + float(t[first]))
+                    curves["tau"].add(said.statistic_tau)
+                    curves["q"].add(said.statistic_q)
+                    samples.add(begins + t[first : first + len(said.verdict)], said)
+                    bar.update(len(said.verdict))
+                duration = begins + float(t[-1])
+        assert found is not None and stream is not None
+        record = timeline.as_record(found, duration)
+        level = stream.gains.diagnosis
+        for note in notes:
+            common.say(self, f"{path.name}: {note}")
+        common.say(self, as_text(record))
+        write_text(folder / "events.csv", events_csv(found.events))
+        levels = {"tau": as_row(level.alpha_tau), "q": as_row(level.alpha_q)}
+        write_text(
+            folder / "report.html",
+            diagnosis_page(f"Diagnosis of {path.name}", record, curves, levels, names, tuple(notes)),
+        )
+        return common.write_json(folder / "result.json", record)
+
+    def _reading(self) -> dict[str, Any]:
+        return {
+            "columns": column_names(self.columns),
+            "dt": self.dt,
+            "degrees": self.degrees,
+            "torque_per_ampere": self.torque_per_ampere or None,
+            "check": self.check,
+        }
+
+    def _gains(self, arm: Arm, config: Config) -> Any:
+        from jaxftc import default_gains, load_gains
+
+        if self.gains is not None:
+            return load_gains(self.gains, config)
+        recording = arm.recording
+        return default_gains(config, noise=recording.encoder_noise, resolution=recording.encoder_resolution)
+
+
+class Samples:
+    """Every sample as a row of a Parquet file, written stretch by stretch."""
+
+    def __init__(self, path: Path, joints: tuple[str, ...]) -> None:
+        self.path, self.joints = path, joints
+
+    def __enter__(self) -> Samples:
+        import duckdb
+
+        self._aside = self.path.with_name(self.path.name + ".rows")
+        self._aside.unlink(missing_ok=True)
+        self._rows = duckdb.connect(str(self._aside))
+        columns = ["t double"] + [
+            f'"{s}_{j}" {"tinyint" if s == "verdict" else "float"}' for s in SIGNALS for j in self.joints
+        ]
+        self._rows.execute(f"create table samples ({', '.join(columns)})")
+        return self
+
+    def add(self, t: Any, said: Any) -> None:
+        """More samples."""
+        import numpy as np
+
+        columns = {"t": np.ascontiguousarray(t)}
+        for signal in SIGNALS:
+            values = np.asarray(getattr(said, signal))
+            columns |= {f"{signal}_{name}": np.ascontiguousarray(values[:, j]) for j, name in enumerate(self.joints)}
+        self._rows.register("stretch", columns)
+        self._rows.execute("insert into samples select * from stretch")
+        self._rows.unregister("stretch")
+
+    def __exit__(self, kind: Any, *_: object) -> None:
+        from jaxftc.io.files import aside
+
+        if kind is None:
+            with aside(self.path) as temporary:
+                self._rows.execute("copy samples to $path (format parquet)", {"path": str(temporary)})
+        self._rows.close()
+        self._aside.unlink(missing_ok=True)
+
+
+def log_config(robot: Any, dt: float) -> Config:
+    """The config of a log's sample time."""
+    from jaxftc import Config
+
+    return Config(robot, dt=dt, t_final=dt, engine="chain")
+
+
+def without_offset(log: Log, arm: Arm) -> Log:
+    """The log with the torque offset of the arm's file taken off."""
+    import numpy as np
+
+    offset = arm.recording.torque_offset
+    return log if offset is None else log._replace(tau=np.asarray(log.tau) - np.asarray(offset))
+
+
+def np_arange(count: int) -> Any:
+    """0, 1, ... as floats."""
+    import numpy as np
+
+    return np.arange(count, dtype=float)
+
+
+def as_row(values: Any) -> Any:
+    """A gain [n] as NumPy has it."""
+    import numpy as np
+
+    return np.asarray(values, float).reshape(-1)
+
+
+def events_csv(events: list[Any]) -> str:
+    """The timeline as CSV."""
+    from jaxftc.logs.timeline import Event
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(Event._fields)
+    writer.writerows([f"{x:.9g}" if isinstance(x, float) else x for x in event] for event in events)
+    return text.getvalue()
+
+
+def as_text(record: dict[str, Any]) -> str:
+    """The timeline as text."""
+    lines = [f"{'start, s':>10}{'end, s':>10}  {'joint':22}{'kind':10}{'size':>12}"] if record["events"] else ["no event"]
+    for e in record["events"]:
+        size = f"{e['size']:.3g} {e['unit']}"
+        lines.append(f"{e['start_s']:10.2f}{e['end_s']:10.2f}  {e['joint_name']:22}{e['kind']:10}{size:>12}")
+    lines.append(
+        f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; alarm in {100 * record['alarm_share']:.3g} % "
+        f"of the ticks, {record['glitches']} glitches"
+    )
+    return "\n".join(lines)

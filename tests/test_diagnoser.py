@@ -1,0 +1,309 @@
+"""Diagnosis under somebody else's controller: readings and torques of a small arm at 100 Hz, and events made of verdicts."""
+
+import csv
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxftc
+from jaxftc import logs
+from jaxftc.campaigns import log_thresholds
+from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
+from jaxftc.cli.main import main
+from jaxftc.gains_file import save_gains
+from jaxftc.logs import pieces
+from jaxftc.logs.log import Log
+from jaxftc.logs.timeline import Timeline
+from jaxftc.schemes.diagnoser import Diagnosis
+from tests import small_logs
+
+DT, ON = 0.01, 800  # s; tick at which faults begin
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """The small arm with its friction and motor inertia, as ``identify`` would give it."""
+    robot = small_logs.robot(tmp_path_factory.mktemp("arm"))
+    both = {f"{name}_{side}": value for side in ("positive", "negative")
+            for name, value in (("coulomb", small_logs.COULOMB), ("damping", small_logs.VISCOUS))}  # fmt: skip
+    return robot.replace(armature=small_logs.MOTOR, **both)
+
+
+def healthy(arm, seed, seconds=16.0):
+    table = small_logs.table(arm_file(arm), seconds, 1 / DT, seed)
+    q, tau = (np.stack([table[f"{name}{j}"] for j in (1, 2, 3)], 1) for name in ("q", "tau"))
+    return Log(q, tau - small_logs.OFFSET, DT * np.arange(len(q)), DT)
+
+
+def arm_file(arm):
+    """The arm without what the file lacks: ``small_logs.torque`` adds it."""
+    return arm.replace(
+        armature=np.zeros(3), **{f"{n}_{s}": np.zeros(3) for n in ("coulomb", "damping") for s in ("positive", "negative")}
+    )
+
+
+@pytest.fixture(scope="module")
+def config(arm):
+    return jaxftc.Config(arm, dt=DT, t_final=DT, engine="chain")
+
+
+@pytest.fixture(scope="module")
+def calibration(config, arm):
+    healthy_logs = [healthy(arm, seed, 24.0) for seed in (1, 2)]
+    start = jaxftc.default_gains(config)
+    gains = jaxftc.default_gains(config, noise=reading_noise(config, start, healthy_logs))
+    return calibrate_on_logs(config, gains, healthy_logs, false_alarms=0.1)
+
+
+@pytest.fixture(scope="module")
+def log(arm):
+    return healthy(arm, 3)
+
+
+def events(config, gains, log):
+    line = Timeline(config.robot.joint_names, config.dt)
+    line.add(logs.diagnose(config, gains, log), 0.0)
+    line.finish()
+    return line
+
+
+def test_a_healthy_log_is_quiet_and_the_promise_is_small(config, calibration, log):
+    line = events(config, calibration.gains, log)
+    assert line.alarm_share == 0 and not line.events
+    promise = calibration.promise
+    assert promise.method == "tail" and promise.healthy_s == pytest.approx(48)
+    assert promise.at_most_per_hour == pytest.approx(3 * 3600 / 48, rel=0.01), "three over the time, for no alarm at 95 %"
+    assert calibration.noise == pytest.approx(1e-5, rel=0.5)
+
+
+def actuator(q, tau):
+    tau[ON:, 1] -= 8.0
+
+
+def bias(q, tau):
+    q[ON:, 1] += np.deg2rad(1.0)
+
+
+def drift(q, tau):
+    q[ON:, 2] += np.deg2rad(10.0) * DT * np.arange(len(q) - ON)
+
+
+def freeze(q, tau):
+    q[ON:, 0] = q[ON, 0]
+
+
+def lost(q, tau):
+    q[ON:, 0] = np.nan
+
+
+FAULTS = [(actuator, 2, "actuator"), (bias, 2, "sensor"), (drift, 3, "sensor"), (freeze, 1, "sensor"), (lost, 1, "sensor")]
+
+
+@pytest.mark.parametrize(("fault", "joint", "kind"), FAULTS, ids=[fault.__name__ for fault, *_ in FAULTS])
+def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fault, joint, kind):
+    q, tau = log.q.copy(), log.tau.copy()
+    fault(q, tau)
+    line = events(config, calibration.gains, log._replace(q=q, tau=tau))
+    assert [(event.joint, event.kind) for event in line.events] == [(joint, kind)]
+    event = line.events[0]
+    assert (
+        -0.03 < event.start_s - ON * DT < 0.4
+        and event.end_s > 15.5
+        and event.joint_name == config.robot.joint_names[joint - 1]
+    )
+    sizes = {"actuator": (8.0, "N m"), "bias": (1.0, "deg")}
+    if fault.__name__ in sizes:
+        assert (abs(event.size), event.unit) == (pytest.approx(sizes[fault.__name__][0], rel=0.15), sizes[fault.__name__][1])
+
+
+def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
+    """A log whose clock slips by half a sample, for every joint at once; the same on one joint is a jump."""
+    q, late = log.q.copy(), log.q.copy()
+    q[ON] = 0.5 * (q[ON] + q[ON - 1])
+    late[ON:, 0] += 0.02
+    assert not logs.diagnose(config, calibration.gains, log._replace(q=q)).verdict.any()
+    assert logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[ON, 0] == jaxftc.Verdict.SENSOR
+
+
+def test_without_torques_the_readings_are_judged(config, calibration, log):
+    q = log.q.copy()
+    bias(q, None)
+    line = events(config, calibration.gains, log._replace(q=q, tau=np.full_like(q, np.nan)))
+    assert [(event.joint, event.kind) for event in line.events] == [(2, "sensor")]
+
+
+def test_nothing_leaves_as_normal_that_cannot_be_judged(config, calibration, log):
+    """Torques of 1e30 N m overflow: what comes of them is no number, and no joint of it is normal."""
+    tau = log.tau.copy()
+    tau[ON:] = 3e38
+    said = logs.diagnose(config, calibration.gains, log._replace(tau=tau))
+    assert (said.verdict[ON + 10 :] > 0).all() and said.detected[ON + 10 :].all()
+
+
+def test_a_step_is_pure_and_may_be_jitted_and_mapped(config, calibration, log):
+    diagnoser = jaxftc.Diagnoser(config, calibration.gains)
+    step = jax.jit(diagnoser.step)
+    state = diagnoser.init(log.q[0])
+    for k in range(30):
+        state, said = step(state, log.q[k], log.tau[k])
+    two = jax.vmap(diagnoser.step, in_axes=(None, 0, None))(state, jnp.stack([log.q[30], log.q[30] + 0.1]), log.tau[30])[1]
+    one = diagnoser.step(state, log.q[30], log.tau[30])[1]
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
+    assert one.verdict.tolist() == [0, 0, 0] and (two.verdict[1] == 2).all()
+    assert isinstance(said, Diagnosis)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda d, s: d.init(np.zeros(2)), "q must have the 3 joints on its first axis"),
+        (lambda d, s: d.init([0.0, np.nan, 0.0]), "q must be finite"),
+        (lambda d, s: d.step(s, np.zeros(3), np.zeros(2)), "torque must have the shape of state.q"),
+    ],
+)
+def test_what_the_diagnoser_refuses(config, calibration, call, message):
+    diagnoser = jaxftc.Diagnoser(config, calibration.gains)
+    with pytest.raises(ValueError, match=message):
+        call(diagnoser, diagnoser.init(np.zeros(3)))
+
+
+def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
+    short = Log(log.q[:300], log.tau[:300], dt=DT)
+    with pytest.raises(ValueError, match=r"the logs hold 3 s; at least 10.3 s of healthy motion are needed"):
+        calibrate_on_logs(config, calibration.gains, [short])
+    with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\)"):
+        calibrate_on_logs(config, calibration.gains, [log], false_alarms=0)
+    tau = log.tau.copy()
+    tau[700:] = 3e38
+    with pytest.raises(ValueError, match=r"log 1: statistic_tau is not finite at 7.* s"):
+        calibrate_on_logs(config, calibration.gains, [log._replace(tau=tau)])
+
+
+# Levels.
+
+
+def test_enough_runs_are_counted_and_too_few_extrapolated():
+    peaks = np.random.default_rng(5).gumbel(1.0, 0.05, (400, 3))
+    counted = log_thresholds._Level(0.02, 0.95, 400, 1)
+    fitted = log_thresholds._Level(0.02, 0.95, 400, 40)
+    assert (counted.method, fitted.method) == ("sample", "tail")
+    fresh = np.random.default_rng(6).gumbel(1.0, 0.05, (20000, 3))
+    rates = [(fresh / (peaks.max(0) * level.factor(peaks)) > 1).any(1).mean() for level in (counted, fitted)]
+    assert rates[0] <= 0.02 and rates[1] < 0.02 / 40
+
+
+# Events.
+
+
+def said_of(verdict, torque=0.0, angle=0.0):
+    verdict = np.asarray(verdict, np.int32)
+    zero = np.zeros(verdict.shape)
+    values = {name: zero for name in Diagnosis._fields}
+    return Diagnosis(**values | {"verdict": verdict, "fault_tau_hat": zero + torque, "fault_q_hat": zero + angle})
+
+
+def line_of(*stretches):
+    line, time = Timeline(("a", "b"), DT), 0.0
+    for verdict in stretches:
+        line.add(said_of(verdict, 5.0, 0.1), time)
+        time += DT * len(verdict)
+    return line, line.finish()
+
+
+def ticks(*spans, joint=0, kind=1, length=600):
+    verdict = np.zeros((length, 2), int)
+    for start, stop in spans:
+        verdict[start:stop, joint] = kind
+    return verdict
+
+
+def test_short_gaps_are_joined_and_glitches_counted_apart():
+    line, found = line_of(ticks((100, 120), (150, 200), (300, 305), (400, 430)))
+    assert [(e.start_s, e.end_s, e.joint, e.kind, e.size, e.unit) for e in found] == [
+        (1.0, 2.0, 1, "actuator", 5.0, "N m"),
+        (4.0, 4.3, 1, "actuator", 5.0, "N m"),
+    ]
+    assert line.glitches == 1 and line.alarm_share == pytest.approx(105 / 600)
+
+
+def test_an_event_goes_on_from_stretch_to_stretch():
+    whole = ticks((100, 120), (250, 350))
+    found = line_of(*np.split(whole, [110, 300, 320]))[1]
+    assert found == line_of(whole)[1] and len(found) == 2
+
+
+def test_the_kind_is_what_was_said_most_of_the_time():
+    verdict = ticks((100, 200), kind=2)
+    verdict[100:110, 0] = 1
+    assert [(e.kind, e.unit, round(e.size, 2)) for e in line_of(verdict)[1]] == [("sensor", "deg", 5.73)]
+    assert line_of(ticks((100, 200), kind=3))[1][0].kind == "both"
+
+
+def test_joints_have_their_own_events():
+    found = line_of(ticks((100, 200)) + ticks((150, 250), joint=1, kind=2))[1]
+    assert [(e.joint, e.joint_name, e.kind) for e in found] == [(1, "a", "actuator"), (2, "b", "sensor")]
+
+
+# The commands.
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory, arm, config, calibration, log):
+    folder = tmp_path_factory.mktemp("files")
+    q, tau = log.q.copy(), log.tau.copy()
+    bias(q, tau)
+    table = np.column_stack([log.t, q, tau])
+    head = ",".join(["t", *(f"q{j}" for j in (1, 2, 3)), *(f"tau{j}" for j in (1, 2, 3))])
+    np.savetxt(folder / "log.csv", table, delimiter=",", header=head, comments="", fmt="%.12g")
+    jaxftc.save_arm(folder / "arm.toml", jaxftc.Arm(arm))
+    save_gains(folder / "gains.toml", calibration.gains, config)
+    return folder
+
+
+def test_diagnose_writes_the_timeline(files, capsys):
+    out = files / "out"
+    main(
+        [
+            "diagnose",
+            str(files / "log.csv"),
+            "--robot",
+            str(files),
+            "--gains",
+            str(files / "gains.toml"),
+            "--out",
+            str(out),
+            "--json",
+        ]
+    )
+    said = json.loads(capsys.readouterr().out)
+    assert {"sample_time_s", "duration_s", "alarm_share", "events"} <= said.keys() and said["sample_time_s"] == DT
+    assert [(e["joint"], e["kind"]) for e in said["events"]] == [(2, "sensor")]
+    assert set(said["events"][0]) == {"start_s", "end_s", "joint", "joint_name", "kind", "size", "unit"}
+    with (out / "events.csv").open() as text:
+        assert [row["joint_name"] for row in csv.DictReader(text)] == ["shoulder_joint"]
+    import duckdb
+
+    rows = duckdb.sql(f"select count(*), max(t), max(verdict_shoulder_joint) from '{out}/samples.parquet'").fetchone()
+    assert rows == (1600, pytest.approx(15.99), 2)
+    page = (out / "report.html").read_text()
+    assert "shoulder_joint" in page and "Residuals and events" in page
+
+
+def test_a_long_recording_is_read_piece_by_piece(files, arm, config, calibration, monkeypatch):
+    whole = [logs.read(files / "log.csv", arm)]
+    monkeypatch.setattr(pieces, "PIECE", 700)
+    found = list(pieces.pieces(files / "log.csv", arm, lambda dt: config))
+    assert [len(log.q) for log, *_ in found] == [700, 700, 200]
+    np.testing.assert_allclose(np.concatenate([log.q for log, *_ in found]), whole[0].q, atol=1e-9)
+    assert [begins for _, begins, _ in found] == pytest.approx([0.0, 7.0, 14.0])
+    assert [goes_on for *_, goes_on in found] == [False, True, True]
+
+
+def test_calibrate_on_logs_writes_gains(files, tmp_path, capsys):
+    options = ["--robot", str(files), "--false-alarms", "0.2", "--out", str(tmp_path / "out"), "--json"]
+    main(["calibrate", "--logs", str(files / "log.csv"), *options])
+    said = json.loads(capsys.readouterr().out)
+    assert said["method"] == "tail" and said["sample_time_s"] == DT and (tmp_path / "out" / "gains.toml").exists()
