@@ -87,7 +87,7 @@ def calibrate_on_logs(
     confidence: float = 0.95,
     run: float | None = None,
 ) -> LogCalibration:
-    """Set thresholds, the jump and the momentum observer's rate on logs of a healthy arm, for ``Diagnoser`` and ``diagnose``.
+    """Set thresholds, the jump and the momentum observer's rate on logs of a healthy arm, for the ``Diagnoser``.
 
     Args:
         config: Robot and sample time, the logs'.
@@ -197,7 +197,7 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _open(config: Config, gains: Gains) -> Gains:
-    """Gains with every rate side by side, without and with the friction of standing joints; thresholds that nothing reaches."""
+    """Gains with every rate side by side, without and with friction of standing joints; thresholds that nothing reaches."""
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
     rates, held = np.tile(_rates(config), (config.n, 1)), np.tile(stiction(config.robot)[:, None], len(_rates(config)))
     never |= {"baseline.rate": np.tile(rates, 2), "diagnosis.stiction": np.concatenate([0 * held, held], axis=1)}

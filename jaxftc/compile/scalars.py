@@ -87,6 +87,8 @@ class _Unrolled:
         name, params = eqn.primitive.name, eqn.params
         if name in CALLS:
             return self._call(params, args)
+        if name == "cond":
+            return self._both(params["branches"], *args)
         if name in IDENTITIES:
             return args
         if name in SHAPES:
@@ -122,6 +124,20 @@ class _Unrolled:
         elif mark == box.LEAVE:
             self._box.pop()
         return self.run(getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), args)
+
+    def _both(self, branches: Sequence[Any], which: Places, *args: Places) -> list[Places]:
+        """Two branches, both computed, and the results of one of them taken: code without a jump."""
+        if len(branches) != 2:
+            raise ValueError(f"cond of {len(branches)} branches has no row in the table of operations: branch by a bool")
+        index = int(np.ravel(which)[0])
+        operation = self.operations[index]
+        converted = operation.name.startswith("to_") and self.operations[operation.args[0]].dtype == bool
+        flag = operation.args[0] if converted else self.make("ne", index, self.constant(operation.dtype.type(0)))
+        no, yes = (self.run(branch.jaxpr, branch.consts, list(args)) for branch in branches)
+        shapes = [np.shape(a) for a in no]
+        taken = [[self._select(flag, int(a), int(b)) for a, b in zip(np.ravel(x), np.ravel(y), strict=True)]
+                 for x, y in zip(no, yes, strict=True)]  # fmt: skip
+        return [np.array(places, int).reshape(shape) for places, shape in zip(taken, shapes, strict=True)]
 
     def _reduce(self, name: str, axes: Sequence[int], array: Places) -> Places:
         for axis in axes:
