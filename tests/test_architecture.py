@@ -223,7 +223,8 @@ arm, run = compile_robot("arm", serial(2)), jax.jit(jaxftc.forward_dynamics, sta
 for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engine)
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))
 """
-    assert json.loads(python(program.replace("NAMES", repr(list(OURS))))) == {}
+    names = [name for name in OURS if name != "jaxftc.faults.gym"]  # which needs an extra
+    assert json.loads(python(program.replace("NAMES", repr(names)))) == {}
 
 
 @pytest.mark.parametrize("room", ["observer", "diagnosis", "control", "schemes", "fuzzy"])
