@@ -31,6 +31,7 @@ REDUCED = {  # options added to the printed commands before they run here: their
     "identify": "",
     "bench": "--quick",
     "view": "",
+    "inspect": "",
 }
 NOT_RUN = {  # lines that do not run here, and why
     "pip install": "the environment that runs this is what they make",

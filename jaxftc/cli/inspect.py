@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass
 class Inspect:
-    """What was read from a robot file: joints, limits, masses, tool, friction, what was welded, and what looks like a
-    placeholder.
-    """
+    """One page of what was read from a robot file, of what was welded and of what looks like a placeholder."""
 
     robot: Annotated[str, tyro.conf.Positional] = "puma560"
     """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""

@@ -73,8 +73,7 @@ def load_arm(path: str | Path) -> Arm:
         ValueError: the file, or the model that it names, cannot be read; an unknown key; a number that no arm can have.
     """
     arm = read_arm(path)
-    if arm.robot.source is not None:
-        warn(arm.robot)
+    warn(arm.robot)
     return arm
 
 

@@ -10,12 +10,12 @@ site or joint, the arm is the chain from the base to there.
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxftc import checks
 from jaxftc.robot.tree import HINGE, SLIDE, Joint, Place, Tree, point_inertia, turn
 
 TOOL = "tool"  # the site where a payload hangs
@@ -70,7 +70,7 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
     lock = lock or {}
     joints = {joint.name: joint for body in tree.bodies for joint in body.joints}
     for name, value in lock.items():
-        checks.one_of("a locked joint", name, list(joints))
+        _there("joint", name, list(joints))
         if not math.isfinite(value):
             raise ValueError(f"lock {name!r} must be a finite number of rad or m, got {value!r}")
         if value and joints[name].kind not in (HINGE, SLIDE):
@@ -87,6 +87,9 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
     hinges = {joint.name: k for k, joint in enumerate(arm)}
     values = {name: _value(joint, joints, lock) for name, joint in joints.items()}
     poses, frames, link_of = _kinematics(tree, hinges, values)
+    for joint, frame in zip(arm, frames, strict=True):
+        if not (np.isfinite(frame.rotation).all() and np.isfinite(frame.position).all()):
+            raise ValueError(f"axis and position of joint {joint.name!r} must be finite, got axis {joint.axis.tolist()}")
     for body, link in zip(tree.bodies, link_of, strict=True):
         if link >= 0 and body.refused:
             raise ValueError(f"link {body.name!r} {body.refused}" if "link" not in body.refused else body.refused)
@@ -161,8 +164,15 @@ def _no_hinge(joints: dict[str, Joint], lock: dict[str, float]) -> str:
 def _tip_body(tree: Tree, tip: str) -> int:
     names = {joint.name: b for b, body in enumerate(tree.bodies) for joint in body.joints}
     names |= {name: at.body for name, at in tree.sites.items()} | {body.name: b for b, body in enumerate(tree.bodies)}
-    checks.one_of("tip", tip, list(names))
+    _there("link, site or joint", tip, list(names))
     return names[tip]
+
+
+def _there(what: str, name: str, names: list[str]) -> None:
+    """Refuse a name that is not there, with those that were probably meant; a large robot has hundreds."""
+    if name not in names:
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.4) or names[-3:]
+        raise ValueError(f"has no {what} {name!r}; did you mean {' or '.join(map(repr, near))}?")
 
 
 def _path(tree: Tree, b: int) -> list[int]:

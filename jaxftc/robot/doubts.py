@@ -30,7 +30,7 @@ def doubts(robot: Robot) -> tuple[str, ...]:
             lines.append(f"every joint has the same {name}, {values[0]:g} {unit}")
     ranges = np.column_stack([robot.q_low, robot.q_high])
     if np.isfinite(ranges).all() and _alike(ranges):
-        lines.append("every joint has the same range, {:g} to {:g} deg".format(*np.rad2deg(ranges[0])))
+        lines.append("every joint has the same range, {:.0f} to {:.0f} deg".format(*np.rad2deg(ranges[0])))
     masses = np.array([link.mass for link in robot.links])
     if masses.any() and _alike(masses):
         lines.append(f"every link has the same mass, {masses[0]:g} kg")
@@ -40,9 +40,7 @@ def doubts(robot: Robot) -> tuple[str, ...]:
             largest = np.linalg.eigvalsh(link.inertia - link.mass * point_inertia(com))[-1]
             radius = float(np.sqrt(max(largest, 0.0) / link.mass))
             if not SMALLEST_GYRATION <= radius <= LARGEST_GYRATION:
-                lines.append(
-                    f"link {name!r} of {link.mass:.3g} kg has the inertia of a body of {radius:.2g} m (radius of gyration)"
-                )
+                lines.append(f"link {name!r} of {link.mass:.3g} kg has a radius of gyration of {radius:.2g} m")
     return tuple(lines)
 
 

@@ -5,6 +5,7 @@ Shapes are compiled only where a body takes its mass from them, so other meshes 
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,9 @@ def read(spec: mujoco.MjSpec) -> Tree:
     odd = {} if by_shape or spec.compiler.balanceinertia else _odd_inertias(spec)
     spec.compiler.fusestatic, spec.memory = False, -1  # bodies keep their names; as much memory as it takes
     try:
-        model = spec.compile()
+        with warnings.catch_warnings():  # about inertias, which are judged when the arm is known
+            warnings.simplefilter("ignore")
+            model = spec.compile()
     except ValueError as error:
         raise ValueError(f"does not compile: {error}") from error
     if model.opt.density or model.opt.viscosity:
@@ -70,7 +73,8 @@ def read(spec: mujoco.MjSpec) -> Tree:
         for s in range(model.nsite)
         if model.site(s).name
     }
-    return Tree(tuple(bodies), sites, model.opt.gravity.copy())
+    weightless = model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    return Tree(tuple(bodies), sites, np.zeros(3) if weightless else model.opt.gravity.copy())
 
 
 def name_all(spec: mujoco.MjSpec) -> None:

@@ -154,8 +154,8 @@ def load_robot(path: str | Path, *, tip: str | None = None, lock: Mapping[str, f
 
 
 def warn(robot: Robot) -> None:
-    """A warning for each link that no body can be, at the caller of the function that calls this."""
-    for caution in robot.cautions:
+    """A warning, at the caller's caller, for each link that no body can be; that of the built-in arm is as published."""
+    for caution in robot.cautions if robot.source is not None else ():
         if caution != BARE:
             warnings.warn(f"{robot.name}: {caution}", stacklevel=3)
 
