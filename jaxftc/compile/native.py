@@ -78,7 +78,7 @@ def function(fun: Callable[..., Any], *examples: np.ndarray) -> Callable[..., li
 
     def call(*arrays: Any) -> list[np.ndarray]:
         # Bytes and buffers, since asking an array for its address takes as long as the code does.
-        made = [kind() for kind in room]
+        made: list[Any] = [kind() for kind in room]
         loaded.ftc(*[np.asarray(a, kind).tobytes() for a, kind in zip(arrays, taken, strict=True)], *made)
         return [np.frombuffer(b, kind).reshape(shape) for b, (kind, shape) in zip(made, shapes, strict=True)]
 

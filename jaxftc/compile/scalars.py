@@ -84,7 +84,7 @@ class _Unrolled:
         return [read(var) for var in jaxpr.outvars]
 
     def _apply(self, eqn: Any, args: list[Places]) -> Sequence[Places]:
-        name, params = eqn.primitive.name, eqn.params
+        name, params = str(eqn.primitive.name), eqn.params
         if name in CALLS:
             return self._call(params, args)
         if name == "cond":
@@ -104,13 +104,14 @@ class _Unrolled:
             return [self.constants(np.broadcast_to(line.reshape(at), params["shape"]))]
         if name in REDUCTIONS:
             return [self._reduce(REDUCTIONS[name], sorted(params["axes"], reverse=True), args[0])]
+        plain = PLAIN.get(name, name)
         scalar = {
             "integer_pow": lambda x: self._power(x, params["y"]),
             "convert_element_type": lambda x: self._convert(x, dtype),
             "clamp": lambda low, x, high: self.make("min", self.make("max", x, low), high),
             "round": lambda x: self.make(("round_away", "round_even")[int(params["rounding_method"])], x),
             "select_n": self._select,
-        }.get(name) or (lambda *numbers: self.make(PLAIN.get(name, name), *numbers))
+        }.get(name) or (lambda *numbers: self.make(plain, *numbers))
         spread = [np.broadcast_to(arg, shape) for arg in args]
         places = [scalar(*(int(arg[at]) for arg in spread)) for at in np.ndindex(shape)]
         return [np.array(places, int).reshape(shape)]
@@ -189,7 +190,7 @@ class _Unrolled:
         """An operand that is the result itself, whatever it is, NaN and infinities included."""
         value = [operand.value for operand in operands]
         floats = operands[0].dtype.kind == "f"
-        for a, b in ((0, 1), (1, 0)) if len(args) == 2 else ():
+        for a, b in ((0, 1), (1, 0)) if len(operands) == 2 else ():
             neutral = NEUTRAL.get(name)
             if neutral is not None and value[b] is not None and value[b] == neutral and (b == 1 or name not in ONE_SIDED):
                 return args[a]

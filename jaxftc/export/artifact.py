@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxftc.compile import native
 from jaxftc.export.stablehlo import load
-from jaxftc.export.tick import DTYPES, Leaf, Tick, precision
+from jaxftc.export.tick import DTYPES, Leaf, Real, Tick, precision
 
 Leaves = list[np.ndarray]
 
@@ -77,7 +77,8 @@ class StableHLO:
 
     def __init__(self, folder: Path, tick: Tick) -> None:
         loaded = load(folder)
-        self._real, self._states = tick.real, len(tick.leaves()["state"])
+        self._real: Real = tick.real
+        self._states = len(tick.leaves()["state"])
         self._init = jax.jit(lambda q: jax.lax.map(lambda q: loaded.call_init(*loaded.gains, q), q))
         self._step = jax.jit(lambda args: jax.lax.map(lambda args: loaded.call_step(*loaded.gains, *args), args))
 

@@ -65,7 +65,7 @@ class Tick(NamedTuple):
     def _gains(self) -> tuple[Gains, ...]:
         return (self.gains,) if self.at_run_time else ()
 
-    def _zeros(self) -> np.ndarray:
+    def _zeros(self) -> Any:
         return np.zeros(self.config.n, DTYPES[self.real])
 
     def leaves(self) -> dict[str, list[Leaf]]:
