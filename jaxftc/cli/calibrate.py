@@ -187,6 +187,8 @@ def table(config: Config, before: Gains, found: Calibration) -> str:
 
 def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     """Thresholds before and after, a line a joint."""
+    from jaxftc.campaigns.calibrate import by_joint
+
     was, now = by_joint(config, before), by_joint(config, after)
     lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:
