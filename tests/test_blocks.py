@@ -104,12 +104,11 @@ FEW = [
     PAIRS[0],
     PAIRS[4],
     PAIRS[8],
-    pair("ts", "afesmc", sign="hard"),
     pair("ts", "esmc", input="torque"),
-    pair("eso_printed", "esmc"),
     *BASELINES,
 ]
 REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for few in FEW}]
+REST.append(pair("eso_printed", "esmc"))
 
 
 def each(*blocks: Block, slow: list[Block] = ()):

@@ -251,7 +251,9 @@ def test_a_relative_cache_home_is_ignored(monkeypatch):
     assert program_cache.user_folder().is_absolute()
 
 
-@pytest.mark.parametrize("observer", ["pi", "eso", "ts", "eso_printed"])
+@pytest.mark.parametrize(
+    "observer", [*(pytest.param(o, marks=pytest.mark.slow) for o in ("pi", "eso")), "ts", "eso_printed"]
+)
 def test_stages_as_data_give_what_the_config_gives(short, observer):
     """One program for every observer and controller, against a program that knows which."""
     for control in ("smc", "esmc", "afesmc"):

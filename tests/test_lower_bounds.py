@@ -113,7 +113,7 @@ def results(arm, request) -> Path:
     """The folder in which the commands below leave their results; compiled programs stay in pytest's cache."""
     environment = os.environ | {"XDG_CACHE_HOME": str(request.config.cache.mkdir("lower-bounds"))}
     for line in (
-        "simulate --scenario healthy --duration 0.3",
+        "simulate --scenario healthy --duration 0.3 --engine chain",
         "tune --observer pi --control smc --only control --steps 1 --batch 16 --validation 2 --held-out 2 --duration 0.2",
         "campaign -n 4 --duration 0.2 --gains runs/tune-1/gains.toml",
     ):

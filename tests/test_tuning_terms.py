@@ -132,6 +132,7 @@ def test_a_term_of_the_user_counts(arm, run):
     assert problem.total(scores) == pytest.approx(2 * scores[0].mean() + scores[1].mean())
 
 
+@pytest.mark.slow
 def test_a_term_of_gains_alone_counts_as_it_would_in_every_scenario(arm, run):
     """Values and slopes are the same whether it is found once or scenario by scenario."""
 

@@ -8,8 +8,9 @@ joint and channel is scaled by its own largest one; what is left is one series, 
   upper end of its confidence interval. That is an extrapolation, and marked as one.
 
 The rate of the momentum observer is chosen for each joint: slow, it averages what the model has wrong of friction and
-acceleration; fast, it sees a fault sooner. The rate is taken whose threshold is smallest, longer waiting
-counted in: alpha (1 + WAIT / rate). The jump is set above what healthy readings show, and above what a torque may do to a joint in one sample time.
+acceleration; fast, it sees a fault sooner. The rate is taken whose threshold is smallest, longer waiting counted in:
+alpha (1 + WAIT / rate). The jump is set above what healthy readings show, and above what a torque may do to a joint in one
+sample time.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ def calibrate_on_logs(
         "diagnosis.stiction": np.where(rests, stiction(config.robot), 0.0),
     }
     gains = gains.replace(changes)
-    seen = sum(int(_rises(said.verdict)) for _, said in _diagnosed(config, gains, logs))
+    seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
     hours = healthy / 3600
     promise = Promise(
         healthy_s=healthy,
@@ -237,5 +238,6 @@ def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
 
 def _rises(verdict: np.ndarray) -> int:
     """Times at which an alarm of the arm begins."""
-    up = (verdict > 0).any(1)
-    return int((up & ~np.r_[False, up[:-1]]).sum())
+    up = np.any(verdict > 0, axis=1)
+    before = np.concatenate([[False], up[:-1]])
+    return int((up & ~before).sum())

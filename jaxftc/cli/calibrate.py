@@ -160,8 +160,8 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     )
     if promise.method == "tail":
         lines.append(
-            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s ({promise.wanted_per_hour:.3g} alarms "
-            "an hour) by counting: thresholds are EXTRAPOLATED from a fitted tail; record more for a promise"
+            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s ({promise.wanted_per_hour:.3g} "
+            "alarms an hour) by counting: thresholds are EXTRAPOLATED from a fitted tail; record more for a promise"
         )
     else:
         lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")

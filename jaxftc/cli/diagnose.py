@@ -47,6 +47,7 @@ class Diagnose(LogOptions, common.ArmOptions):
 
     def _diagnose(self, path: Path, arm: Arm, folder: Path) -> str:
         """Everything that is written; the JSON of it."""
+        import numpy as np
         from tqdm import tqdm
 
         from jaxftc.io.files import write_text
@@ -75,8 +76,8 @@ class Diagnose(LogOptions, common.ArmOptions):
                 t = log.t if log.t is not None else stream.config.dt * np_arange(len(log.q))
                 for first, said in stream.feed(log, goes_on=goes_on):
                     found.add(said, begins + float(t[first]))
-                    curves["tau"].add(said.statistic_tau)
-                    curves["q"].add(said.statistic_q)
+                    curves["tau"].add(np.asarray(said.statistic_tau))
+                    curves["q"].add(np.asarray(said.statistic_q))
                     samples.add(begins + t[first : first + len(said.verdict)], said)
                     bar.update(len(said.verdict))
                 duration = begins + float(t[-1])
@@ -199,7 +200,7 @@ def as_text(record: dict[str, Any]) -> str:
         size = f"{e['size']:.3g} {e['unit']}"
         lines.append(f"{e['start_s']:10.2f}{e['end_s']:10.2f}  {e['joint_name']:22}{e['kind']:10}{size:>12}")
     lines.append(
-        f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; alarm in {100 * record['alarm_share']:.3g} % "
-        f"of the ticks, {record['glitches']} glitches"
+        f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; "
+        f"alarm in {100 * record['alarm_share']:.3g} % of the ticks, {record['glitches']} glitches"
     )
     return "\n".join(lines)

@@ -25,8 +25,6 @@ class Export(common.Options):
 
     scheme: str = "cascade"
     """What diagnoses and controls, as in jaxftc campaign."""
-    dt: float = 1e-3
-    """Sample time, s."""
     real: Literal["double", "float"] = "double"
     """Precision of the code."""
     gains_at_run_time: bool = False
@@ -56,7 +54,8 @@ class Export(common.Options):
 
         common.key(self)  # the seed's range
         common.look_here_for(self.scheme)
-        config = variant(Config(common.load_arm(self), dt=self.dt, t_final=1000 * self.dt, engine="chain"), self.scheme)
+        dt = self.dt or 1e-3
+        config = variant(Config(common.load_arm(self), dt=dt, t_final=1000 * dt, engine="chain"), self.scheme)
         with precision("double"):
             gains = common.load_or_default(self, config)
         with common.folder(self, "export") as folder:

@@ -108,7 +108,8 @@ def error_matrices(config: Config, gains: Gains, fuzzy: Flag | None = None) -> A
     """
     leaves, on = _of_joints(config, gains, jnp), (0.0, 1.0 * (config.observer == "ts" if fuzzy is None else fuzzy))
     joints = jax.vmap(functools.partial(_matrix, jnp, config), in_axes=(0,) * len(leaves) + (None,))
-    return jnp.stack([joints(*leaves, jnp.asarray(case, gains.arx.xi_a.dtype)) for case in on])
+    dtype = gains.arx.xi_a.dtype
+    return jnp.stack([joints(*leaves, jnp.asarray(case, dtype)) for case in on])  # pyright: ignore[reportCallIssue]
 
 
 def _of_joints(config: Config, gains: Gains, xp: Any) -> list[Any]:

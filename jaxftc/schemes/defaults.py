@@ -10,8 +10,8 @@ for a better sensor leaves the model's errors as they are. With t the observer's
 
 * the poles of its error are today's to the power of t, which gives xi and alpha_p; so is 1 less what a leak or a low-pass
   forgets in a tick, and what the integrals take up of a fault in a tick, which gives alpha_i and alpha_f;
-* a fault of the same size is an innovation pace^-2 as large: alpha_sm and alpha_sm0 go with pace, eps with pace^-2, lead with
-  pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it alpha_tau;
+* a fault of the same size is an innovation pace^-2 as large: alpha_sm and alpha_sm0 go with pace, eps with pace^-2, lead
+  with pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it alpha_tau;
 * a jump must stand out of the noise and of what a torque can do in a tick;
 * the loop of control is slowed where its delay of a tick or two would count.
 """
@@ -36,7 +36,10 @@ SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
 
-def default_gains(config: Config, *, noise: ArrayLike | None = None, resolution: ArrayLike | None = None) -> Gains:
+Level = ArrayLike | tuple[float, ...]  # a number, or one a joint
+
+
+def default_gains(config: Config, *, noise: Level | None = None, resolution: Level | None = None) -> Gains:
     """One set of gains that serves every scenario; the ARX read-out is the exact model of the nominal arm.
 
     For ``input="torque"`` the read-out is that of an arm with the constant inertia it has in its zero position.
@@ -61,7 +64,7 @@ def default_gains(config: Config, *, noise: ArrayLike | None = None, resolution:
     return exact(config, build(config, values), None if config.input == "rigid_body" else np.linalg.inv(_inertia(config)))
 
 
-def _sigma(config: Config, noise: ArrayLike | None, resolution: ArrayLike | None) -> np.ndarray:
+def _sigma(config: Config, noise: Level | None, resolution: Level | None) -> np.ndarray:
     """Standard deviation of a reading [n] rad: noise, and a count's width as that of an even distribution."""
     parts = {"noise": (noise, 1.0), "resolution": (resolution, 1 / math.sqrt(12))}
     for name, (value, _) in parts.items():
