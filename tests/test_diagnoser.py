@@ -149,8 +149,8 @@ def test_a_step_is_pure_and_may_be_jitted_and_mapped(config, calibration, log):
     state = diagnoser.init(log.q[0])
     for k in range(30):
         state, said = step(state, log.q[k], log.tau[k])
-    two = jax.vmap(diagnoser.step, in_axes=(None, 0, None))(state, jnp.stack([log.q[30], log.q[30] + 0.1]), log.tau[30])[1]
-    one = diagnoser.step(state, log.q[30], log.tau[30])[1]
+    two = jax.jit(jax.vmap(diagnoser.step, in_axes=(None, 0, None)))
+    two, one = two(state, jnp.stack([log.q[30], log.q[30] + 0.1]), log.tau[30])[1], step(state, log.q[30], log.tau[30])[1]
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
     assert one.verdict.tolist() == [0, 0, 0] and (two.verdict[1] == 2).all()
     assert isinstance(said, Diagnosis)

@@ -35,13 +35,12 @@ FASTEST = 0.3  # of the sample rate
 WAIT = 2.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
 LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
-TRANSFER, FARTHEST = 1.25, 1.3  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
+TRANSFER, FARTHEST = 1.2, 1.3  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
 # a minute has shown is not believed further out. The promise says what that leaves open.
 LEAST_JUMP = 1e-5  # rad, of w
 NEVER = 1e9  # a threshold that nothing reaches
 LEAST_BLOCKS = 10
 MIXED = 5  # blocks in a row that go to the same half
-STIFFENED = 0.5  # share to which a threshold must fall for a standing joint's residual to be forgiven
 LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.2)  # of the torque limit; rad
 PUSHES = 2.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
 
@@ -117,9 +116,7 @@ def calibrate_on_logs(
     level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
-    half = len(_rates(config))
-    rests = largest[:, half:].min(1) < STIFFENED * largest[:, :half].min(1)  # of joints that stand, friction hides the most
-    which = np.where(rests, half + _best(largest[:, half:], _rates(config)), _best(largest[:, :half], _rates(config)))
+    which = _best(largest, _rates(config))
     scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
     series = np.take_along_axis(found.tau, np.broadcast_to(which[None, :, None], (blocks, config.n, 1)), 2)[..., 0]
     alpha_tau = scale * level.factor(series)
@@ -130,8 +127,8 @@ def calibrate_on_logs(
         "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
         "diagnosis.lam_tau": 1.0,
         "observer.jump": 2 * half_jump,
-        "baseline.rate": _rates(config)[which % half],
-        "diagnosis.stiction": np.where(rests, stiction(config.robot), 0.0),
+        "baseline.rate": _rates(config)[which],
+        "diagnosis.stiction": stiction(config.robot),
     }
     gains = gains.replace(changes)
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
@@ -198,10 +195,9 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _open(config: Config, gains: Gains) -> Gains:
-    """Gains with every rate side by side, without and with friction of standing joints; thresholds that nothing reaches."""
+    """Gains with every rate side by side, and thresholds that nothing reaches."""
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
-    rates, held = np.tile(_rates(config), (config.n, 1)), np.tile(stiction(config.robot)[:, None], len(_rates(config)))
-    never |= {"baseline.rate": np.tile(rates, 2), "diagnosis.stiction": np.concatenate([0 * held, held], axis=1)}
+    never |= {"baseline.rate": np.tile(_rates(config), (config.n, 1)), "diagnosis.stiction": stiction(config.robot)}
     return gains.replace(never)
 
 

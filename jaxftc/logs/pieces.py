@@ -15,7 +15,7 @@ from jaxftc.logs.log import Log
 from jaxftc.logs.read import read
 
 PIECE = 500_000  # rows
-TABLES = {".parquet": "read_parquet($path)", ".csv": "read_csv($path, all_varchar = true)"}
+TABLES = {".parquet": "read_parquet($path)", ".csv": "read_csv($path)"}
 
 
 def rows(path: Path) -> int | None:
@@ -59,7 +59,7 @@ def pieces(
             if last is not None:  # a piece takes the first row of the next one with it: the same reading
                 turns = 2 * np.pi * np.round((last.q[-1] - log.q[0]) / (2 * np.pi))
                 log = log._replace(q=log.q + turns)
-            whole = len(log.stretches) == 1
+            whole = len(log.stretches) == 1 and first + PIECE < count
             kept = log._replace(q=log.q[:-1], tau=log.tau[:-1], t=None if log.t is None else log.t[:-1], segments=())
             yield (kept if whole else log), begins, last is not None and len(last.stretches) == 1
             begins += float(log.t[-1]) if log.t is not None else len(log.q) * config.dt

@@ -30,6 +30,7 @@ from jaxftc.types import Array
 
 FARTHEST = 1e4  # rad; what reads more is no angle
 PATIENCE = 0.2  # s without a reading for which the motion is taken to go on; then the arm is taken to stand
+SETTLE = 0.2  # s of readings in which the tracker finds a speed that it does not know; jumps are not judged so long
 FORGET = 2.0  # s in which a b that is below its alarm is forgotten
 LONGEST = 3  # jumps in a row
 FROZEN, COUNTS, TRAVEL = 5, 30.0, 5e-3  # equal readings; counts or rad, the larger, by which the arm should have moved
@@ -50,6 +51,7 @@ class State(NamedTuple):
     q2: Array  # [n, ...] rad, two ticks ago
     q3: Array  # [n, ...] rad, three ticks ago
     unread: Array  # [n, ...] ticks without a reading
+    known: Array  # [n, ...] s of readings since the start or the last pause, in which the tracker finds the speed
     run: Array  # [n, ...] jumps in a row to one side, negative for those down
     drifts: Array  # [n, ...] 1 while the reading is held to drift, else 0
     reading: Array  # [n, ...] rad, last one
@@ -81,14 +83,16 @@ class Estimate(NamedTuple):
     qd_hat: Array  # [n, ...] rad/s
     missing: Array  # [n, ...] bool, the reading was not used
     wrong: Array  # [n, ...] bool, it cannot be: absent for long, frozen or drifting
-    stands: Array  # [n, ...] bool, the joint does not move
+    known: Array  # [n, ...] bool, the tracker has found the speed
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
     zero, one = jnp.zeros_like(q), jnp.ones_like(q)
     model = arx.init(config, gains, q)
-    return State(model, zero, zero, zero, zero, zero, q, q, q, zero, zero, zero, q, one, zero, zero, zero, zero, zero, zero)
+    return State(
+        model, zero, zero, zero, zero, zero, q, q, q, zero, zero, zero, zero, q, one, zero, zero, zero, zero, zero, zero
+    )
 
 
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Estimate]:
@@ -106,12 +110,13 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     shift = jnp.where(back, e, 0.0)  # the motion that it had was not the one it made
 
     w = _slip(config, _unexplained(config, state, y - state.b), state.qd)
-    w = jnp.where((w * e > 0) & ~missing & ~back, jnp.sign(w) * jnp.minimum(jnp.abs(w), jnp.abs(e)), 0.0)
+    known = jnp.where(missing | back, 0.0, state.known + dt)
+    w = jnp.where((w * e > 0) & (known > SETTLE), jnp.sign(w) * jnp.minimum(jnp.abs(w), jnp.abs(e)), 0.0)
     h_s = takagi_sugeno.jump_share(w, own.jump, own.jump_centres, own.jump_widths)
     side = jnp.where(h_s > 0.5, jnp.sign(w), 0.0)
     run = jnp.where(side * state.run > 0, state.run + side, side)
     h_s = jnp.where(jnp.abs(run) > LONGEST, 0.0, h_s)
-    moved = jnp.where(missing | back, 0.0, own.alpha_f2 * h_s * (e - state.e))
+    moved = jnp.where(known > SETTLE, own.alpha_f2 * h_s * (e - state.e), 0.0)
     b = state.b + moved
     q_hat = y - b
     e, y_hat = e - shift - moved, y_hat + shift
@@ -132,15 +137,14 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     kept = jnp.where(inputs.alarmed_q | (jnp.abs(b) >= gains.diagnosis.alpha_q), b, b * (1 - dt / FORGET))
     angles = [(b - kept) + q for q in (q_hat, state.q1 + shift, state.q2 + shift)]
     state = state._replace(
-        arx=arx.State(x_a, x_b), psi=psi, qd=qd, mean_speed=mean_speed, b=kept, e=e, unread=unread, run=run,
+        arx=arx.State(x_a, x_b), psi=psi, qd=qd, mean_speed=mean_speed, b=kept, e=e, unread=unread, known=known, run=run,
         q1=angles[0], q2=angles[1], q3=angles[2], drifts=drifts.astype(q_hat.dtype),
     )  # fmt: skip
     state = _freeze(config, state, inputs, absent)
     frozen = state.frozen > 0
     wrong = frozen | drifts | (absent & (unread >= FROZEN))
     fault_q = jnp.where(frozen & ~absent, inputs.q - q_hat, b)
-    stands = jnp.abs(mean_speed) < STANDING
-    return state, Estimate(w, h_s, b, fault_q, q_hat, qd, missing, wrong, stands)
+    return state, Estimate(w, h_s, b, fault_q, q_hat, qd, missing, wrong, known > SETTLE)
 
 
 def _unexplained(config: Config, state: State, q: Array) -> Array:

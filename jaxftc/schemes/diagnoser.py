@@ -5,8 +5,8 @@ The sensor channel is ``observer.kinematic``: it needs no model of the arm. The 
 from the arm's although its torques are right. What is measured of a torque is its value now, so the momentum balance takes
 the mean of two. Statistics, alarms and verdicts are the cascade's.
 
-* An arm that stands holds an unknown part of its weight by friction. Of a standing joint the residual is taken from its own
-  slow mean, as far as ``diagnosis.stiction`` goes; a joint that moves has no friction to hide behind.
+* A joint that stands, or turns round, holds an unknown torque by friction, up to ``diagnosis.stiction``. What the residual
+  exceeds that by is judged. Once it has stood for a while, so are changes of what it held.
 * A reading that is held to be wrong explains the torque residuals of all joints: their model was evaluated at it. A jump is
   taken out of the reading and explains nothing.
 
@@ -31,9 +31,9 @@ from jaxftc.schemes import momentum
 from jaxftc.types import Array
 
 SETTLE = 0.3  # s in which nothing is said of torques, at the start and after a reading that was wrong
-OFFSET = 1.0  # s in which the mean residual of a standing joint is learned
-RESTLESS = 0.2  # s in which it is forgotten once the joint moves
-HELD = 0.06  # of the torque limit: what gears hold by friction, where the model does not say more
+SLOW = 0.03  # rad/s, below which friction is not known but for its limit
+OFFSET = 1.0  # s for which a joint that came to rest may hold anything by friction, and in which that is learned afterwards
+HELD = 0.06  # of the torque limit: what gears hold by friction, where the model does not say
 
 
 class State(NamedTuple):
@@ -42,7 +42,8 @@ class State(NamedTuple):
     tracker: kinematic.State
     residual: momentum.Observer
     tau: Array  # [n, ...] N m, last torque; not finite where it was not known
-    offset: Array  # [n, ...] N m, mean residual of a standing joint
+    offset: Array  # [n, ...] N m, part of the residual that friction holds
+    slow: Array  # [n, ...] s since the joint came to rest, or turned round
     age: Array  # [n, ...] ticks since the torque residual began
     statistics: statistics.State
     alarm: alarm.State
@@ -85,6 +86,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         residual=momentum.Observer(zero, *momentum.momentum(config.robot, q, zero)),
         tau=jnp.full_like(q, jnp.nan),
         offset=zero,
+        slow=zero,
         age=zero,
         statistics=statistics.init(config, gains, q),
         alarm=alarm.init(config, gains, q),
@@ -96,7 +98,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
     reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
     residual, age = _balance(config, gains, state, seen, measurement.tau)
-    offset = _offset(config, gains, state, residual.r, seen.stands, age)
+    offset, slow = _offset(config, gains, state, residual.r, seen.qd_hat)
     settled = age * config.dt >= SETTLE
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
     means, statistic = statistics.step(config, gains, state.statistics, watched)
@@ -118,7 +120,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         q_hat=seen.q_hat,
         qd_hat=seen.qd_hat,
     )
-    return State(tracker, residual, measurement.tau, offset, age, means, alarms_next), said
+    return State(tracker, residual, measurement.tau, offset, slow, age, means, alarms_next), said
 
 
 def _balance(
@@ -127,7 +129,7 @@ def _balance(
     """Momentum residual of this tick [n, ...] N m, and its age in ticks.
 
     A tick with a jump, or without a torque or a reading, tells nothing of the momentum. At first the residual is a mean of
-    what there is; after a reading that was wrong it begins anew.
+    what there is; after a reading that was wrong, or a start in motion, it begins anew.
     """
     now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
     middle = before._replace(drift=0.5 * (before.drift + now[1]))
@@ -136,25 +138,30 @@ def _balance(
     r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, rate).r
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
     blind = (seen.missing | (seen.h_s > 0.1)).any(0)
-    wrong = seen.wrong.any(0)
-    age = jnp.where(wrong, 0.0, state.age + known)
-    return momentum.Observer(jnp.where(wrong, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
+    anew = (seen.wrong | ~seen.known).any(0)
+    age = jnp.where(anew, 0.0, state.age + known)
+    return momentum.Observer(jnp.where(anew, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
 
 
-def _offset(config: Config, gains: Gains, state: State, r: Array, stands: Array, age: Array) -> Array:
-    """Mean residual of joints that stand, [n, ...] N m, within what friction can hold; held while there is an alarm."""
-    dt = config.dt
-    learn = jnp.where(age * dt < SETTLE, 1.0, min(1.0, dt / OFFSET))
-    limit = gains.diagnosis.stiction
-    toward = jnp.clip(state.offset + learn * (r - state.offset), -limit, limit)
-    moved = state.offset * (1 - min(1.0, dt / RESTLESS))
-    return jnp.where(state.alarm.tau > 0, state.offset, jnp.where(stands, toward, moved))
+def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array]:
+    """What friction holds of the residual r [n, ...] N m at speeds qd [n, ...] rad/s, and how long the joint has been slow.
+
+    For a while after a joint has come to rest, any torque up to ``diagnosis.stiction``; then what it held, and slow changes of
+    it. It dies out as the residual does once the joint moves. While there is an alarm it stays.
+    """
+    own, dt = gains.diagnosis.stiction, config.dt
+    slow = jnp.where(jnp.abs(qd) < SLOW, state.slow + dt, 0.0)
+    held = jnp.clip(state.offset + jnp.where(slow < OFFSET, 1.0, dt / OFFSET) * (r - state.offset), -own, own)
+    moving = state.offset * jnp.exp(-gains.baseline.rate * dt)
+    offset = jnp.where(slow > 0, held, moving)
+    return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), slow
 
 
 def stiction(robot: Robot) -> np.ndarray:
-    """Largest torque [n] N m that a standing joint may hold by friction."""
+    """Largest torque [n] N m that a standing joint may hold by friction: the model's, or where it has none a usual share."""
     known = np.maximum(np.abs(robot.coulomb_positive), np.abs(robot.coulomb_negative))
-    return np.maximum(known, np.where(np.isfinite(robot.torque_limit), HELD * robot.torque_limit, 0.0))
+    usual = np.where(np.isfinite(robot.torque_limit), HELD * robot.torque_limit, 0.0)
+    return np.where(known > 0, known, usual)
 
 
 class Diagnoser:
