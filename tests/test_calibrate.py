@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc import logs
 from jaxftc.campaigns import calibrate as module
 from jaxftc.campaigns import run
 from jaxftc.campaigns.calibrate import (
@@ -15,14 +14,10 @@ from jaxftc.campaigns.calibrate import (
     Peaks,
     allowed,
     calibrate,
-    calibrate_on_logs,
     thresholds,
     with_thresholds,
     without_faults,
 )
-from jaxftc.identify import from_trace
-from jaxftc.io.tables import write_parquet
-from jaxftc.scenarios.scenario import paper_scenario
 from tests.arms import three_hinges
 
 
@@ -121,75 +116,3 @@ def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
     assert (
         dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(small).diagnosis).keys()
     )
-
-
-# On recorded logs.
-
-
-@pytest.fixture(scope="module")
-def logged(tmp_path_factory):
-    """Simulated healthy runs as a user would have them: one long log of 1 s at 1 kHz a file."""
-    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.1)
-    long = dataclasses.replace(config, duration=1.0)
-    scenarios = without_faults(jaxftc.sample_scenarios(jax.random.key(62), 8, config=long))
-    trace = jaxftc.simulate(long, jaxftc.default_gains(long), scenarios, jax.random.key(63))
-    folder = tmp_path_factory.mktemp("logs")
-    paths = []
-    for k in range(8):
-        columns = {"t": np.asarray(trace.t[k])}
-        columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[k, :, j]) for j in range(config.n)}
-        columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[k, :, j]) for j in range(config.n)}
-        paths.append(folder / f"log{k}.parquet")
-        write_parquet(paths[-1], columns)
-    return config, trace, paths
-
-
-def test_a_log_is_diagnosed_as_the_arm_was(logged):
-    """The motion made takes the place of the motion wanted; statistics differ by what the friction model makes of that."""
-    config, trace, paths = logged
-    gains = jaxftc.default_gains(config)
-    out = logs.diagnose(config, gains, logs.read(paths[0], config))
-    mine, theirs = np.asarray(out.statistic_tau), np.asarray(trace.out.statistic_tau[0])
-    scale = np.abs(theirs).max(0)
-    assert (np.abs(mine - theirs).max(0) < 0.5 * scale + 0.1).all()
-    assert (np.abs(mine - theirs).mean(0) < 0.1 * scale + 0.02).all()
-
-
-def test_a_log_starts_without_a_push(logged):
-    """The torque before the first reading is not known; taking the first one for it would be one, of 2 N m.
-
-    Without noise, since the simulated loop knows where it starts and a log knows its first reading.
-    """
-    config = logged[0]
-    gains = jaxftc.default_gains(config)
-    quiet = paper_scenario("healthy", config)._replace(noise=0.0)
-    trace = jaxftc.simulate(config, gains, quiet, jax.random.key(64))
-    out = logs.diagnose(config, gains, from_trace(trace))
-    np.testing.assert_allclose(out.residual_tau[:50], trace.out.residual_tau[:50], atol=0.01)
-
-
-def test_thresholds_from_logs(logged):
-    config, trace, paths = logged
-    found = calibrate_on_logs(
-        config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths], false_alarms=0.2, confidence=0.9
-    )
-    assert found.runs == found.fresh == 40 and found.met
-    highest = np.abs(np.asarray(trace.out.statistic_tau)).max((0, 1))
-    assert (found.gains.diagnosis.alpha_tau < 2 * highest).all() and (found.gains.diagnosis.alpha_tau > 0.2 * highest).all()
-    with pytest.raises(ValueError, match="40 healthy runs are too few to hold 1 % false alarms"):
-        calibrate_on_logs(config, jaxftc.default_gains(config), [logs.read(p, config) for p in paths])
-
-
-def test_a_log_of_another_rate_is_brought_to_the_sample_time(logged, tmp_path):
-    config, _, paths = logged
-    whole = logs.read(paths[0], config)
-    t = np.arange(0, 1, 0.002)
-    rows = {"t": t}
-    for j in range(config.n):
-        rows |= {f"q{j + 1}": whole.q[::2, j], f"tau{j + 1}": whole.tau[::2, j]}
-    write_parquet(tmp_path / "half.parquet", rows)
-    half = logs.read(tmp_path / "half.parquet", config)
-    assert len(half.q) == 999
-    np.testing.assert_allclose(half.q[::2], whole.q[::2])
-    np.testing.assert_allclose(half.q, whole.q[:999], atol=2e-4)
-    np.testing.assert_allclose(half.tau[::2], whole.tau[::2], atol=1e-6)

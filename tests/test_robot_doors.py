@@ -243,7 +243,10 @@ def test_dynamics_refuse_wrong_shapes_and_engines(puma):
         ({"robot": "puma560"}, "robot must be a Robot, got str; call puma560() or load_robot(path)"),
         ({"engine": "mujoco"}, "engine must be one of 'mjx', 'chain', got 'mujoco'"),
         ({"observer": "ESO"}, "observer must be one of 'pi', 'eso', 'ts', 'eso_printed', got 'ESO'"),
-        ({"scheme": "kalman"}, "scheme must be one of 'cascade', 'momentum', 'ekf', 'computed_torque', got 'kalman'"),
+        (
+            {"scheme": "kalman"},
+            "'ekf', 'computed_torque', or module:object, got 'kalman'",
+        ),
         ({"control": "afsmc"}, "control must be one of 'smc', 'esmc', 'afesmc', got 'afsmc'; did you mean 'afesmc'?"),
         ({"input": "torques"}, "input must be one of 'rigid_body', 'torque', got 'torques'; did you mean 'torque'?"),
         ({"rules": "mended"}, "rules must be one of 'printed', 'symmetric', 's_only', got 'mended'"),

@@ -88,7 +88,7 @@ class Calibrate(Laws):
 
     def _on_logs(self) -> None:
         """Thresholds for jaxftc diagnose."""
-        if self.scheme != "cascade" or self.lead is not None:
+        if any(getattr(self, name) != getattr(Calibrate, name) for name in ("scheme", "lead")):
             raise ValueError("--scheme and --lead do nothing with --logs: the thresholds are those of jaxftc diagnose")
         common.prepare(self)
         from jaxftc import default_gains, load_gains, save_gains
