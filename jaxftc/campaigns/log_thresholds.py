@@ -27,7 +27,7 @@ from jaxftc.evaluation.intervals import tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
-from jaxftc.schemes.diagnoser import SETTLE, stiction
+from jaxftc.schemes.diagnoser import SETTLE, SLOW, stiction
 
 BLOCK = 1.0  # s, over which the largest statistic is taken
 RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
@@ -35,7 +35,7 @@ FASTEST = 0.3  # of the sample rate
 WAIT = 2.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
 LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
-TRANSFER, FARTHEST = 1.2, 1.3  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
+TRANSFER, FARTHEST = 1.15, 1.2  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
 # a minute has shown is not believed further out. The promise says what that leaves open.
 LEAST_JUMP = 1e-5  # rad, of w
 NEVER = 1e9  # a threshold that nothing reaches
@@ -54,6 +54,7 @@ class Promise(NamedTuple):
     confidence: float
     method: str  # "sample", or "tail" where the level is extrapolated
     wanted_per_hour: float  # alarms, for that share
+    fitted_per_hour: float | None  # alarms at the thresholds found, by the fitted tail; None where runs were counted
     seen: int  # alarms on the logs with the thresholds found
     at_most_per_hour: float  # alarms, with that confidence, by the healthy time alone
 
@@ -74,8 +75,18 @@ class _Peaks(NamedTuple):
 
 def reading_noise(config: Config, gains: Gains, logs: list[Log]) -> np.ndarray:
     """Standard deviation [n] rad of the readings, steps of the encoder included, from what no acceleration explains."""
-    jumps = [np.abs(said.jump) for _, said in _diagnosed(config, _open(config, gains), logs)]
-    return np.maximum(np.quantile(np.concatenate(jumps), 0.95, axis=0)[:, 0] / (1.96 * math.sqrt(6)), 1e-9)
+    return _noise_and_stiction(config, gains, logs)[0]
+
+
+def _noise_and_stiction(config: Config, gains: Gains, logs: list[Log]) -> tuple[np.ndarray, np.ndarray]:
+    """The noise, and what standing joints may hold by friction [n] N m; of a joint that never moved the usual share."""
+    jumps, fastest = [], np.zeros(config.n)
+    for _, said in _diagnosed(config, _open(config, gains), logs):
+        jumps.append(np.abs(said.jump[..., 0]))
+        fastest = np.maximum(fastest, np.abs(said.qd_hat[..., 0]).max(0))
+    noise = np.maximum(np.quantile(np.concatenate(jumps), 0.95, axis=0) / (1.96 * math.sqrt(6)), 1e-9)
+    known, usual = stiction(config.robot)
+    return noise, np.where(fastest > SLOW, known, np.maximum(known, usual))
 
 
 def calibrate_on_logs(
@@ -106,8 +117,8 @@ def calibrate_on_logs(
     healthy = sum(len(log.q) for log in logs) * config.dt
     run = healthy / len(logs) if run is None else run
     checks.positive("run", run, "seconds")
-    noise = reading_noise(config, gains, logs)
-    found = _peaks(config, _open(config, gains), logs)
+    noise, stiction = _noise_and_stiction(config, gains, logs)
+    found = _peaks(config, _open(config, gains.replace({"diagnosis.stiction": stiction})), logs)
     blocks = len(found.w)
     if blocks < LEAST_BLOCKS:
         raise ValueError(
@@ -128,7 +139,7 @@ def calibrate_on_logs(
         "diagnosis.lam_tau": 1.0,
         "observer.jump": 2 * half_jump,
         "baseline.rate": _rates(config)[which],
-        "diagnosis.stiction": stiction(config.robot),
+        "diagnosis.stiction": stiction,
     }
     gains = gains.replace(changes)
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
@@ -140,6 +151,7 @@ def calibrate_on_logs(
         confidence=confidence,
         method=level.method,
         wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
+        fitted_per_hour=level.rate * 3600 / BLOCK if level.method == "tail" else None,
         seen=seen,
         at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / hours),
     )
@@ -153,6 +165,7 @@ class _Level:
         self.share, self.confidence, self.per_run = false_alarms, confidence, per_run
         self.allowed = tolerated(blocks // per_run, false_alarms, confidence) if blocks >= per_run else -1
         self.method = "sample" if self.allowed >= 0 else "tail"
+        self.rate = 0.0  # alarms a block, by the fitted tails
 
     def factor(self, peaks: np.ndarray) -> float:
         """From the largest statistics [blocks, n] of every second, to be put on the largest of all of each joint.
@@ -162,26 +175,30 @@ class _Level:
         """
         half = np.arange(len(peaks)) // MIXED % 2 == 0
         largest = np.concatenate([(peaks[part] / peaks[~part].max(0)).max(1) for part in (half, ~half)])
-        return float(np.clip(self._of(largest), TRANSFER, math.inf if self.method == "sample" else FARTHEST))
-
-    def _of(self, largest: np.ndarray) -> float:
         if self.method == "sample":
-            runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
-            return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
-        p = -math.expm1(math.log1p(-self.share) / self.per_run)  # of a block
+            return max(self._counted(largest), TRANSFER)
+        return self._fitted(largest)
+
+    def _counted(self, largest: np.ndarray) -> float:
+        runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
+        return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
+
+    def _fitted(self, largest: np.ndarray) -> float:
+        """The level that the fitted tail gives for the wanted share, within its bounds; its rate there goes to ``rate``."""
         ordered = np.sort(largest)
         count = max(LEAST_TAIL, round(TAIL * len(ordered)))
-        base = ordered[-count - 1]
-        above = ordered[-count:] - base
+        base, above = ordered[-count - 1], ordered[-count:] - ordered[-count - 1]
         above = above[above > 0]
         if not len(above):
-            return float(base)
+            return TRANSFER
         fitted = stats.genpareto.fit(above, floc=0)[0] if len(above) > LEAST_TAIL else 0.0
         shape = float(np.clip(len(above) * fitted / (len(above) + MEMORY), -0.3, 0.3))
-        scale = above.mean() * (1 - shape)
-        ratio = max(count / len(ordered) / p, 1.0)
-        reach = math.log(ratio) if abs(shape) < 1e-6 else math.expm1(shape * math.log(ratio)) / shape
-        return float(base + scale * reach)
+        tail = stats.genpareto(shape, loc=base, scale=above.mean() * (1 - shape))
+        share = count / len(ordered)
+        p = -math.expm1(math.log1p(-self.share) / self.per_run)  # wanted, of a block
+        level = float(np.clip(tail.isf(min(p / share, 1.0)), TRANSFER, FARTHEST))
+        self.rate = max(self.rate, share * float(tail.sf(level)))
+        return level
 
 
 def _rates(config: Config) -> np.ndarray:
@@ -197,7 +214,7 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def _open(config: Config, gains: Gains) -> Gains:
     """Gains with every rate side by side, and thresholds that nothing reaches."""
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
-    never |= {"baseline.rate": np.tile(_rates(config), (config.n, 1)), "diagnosis.stiction": stiction(config.robot)}
+    never |= {"baseline.rate": np.tile(_rates(config), (config.n, 1))}
     return gains.replace(never)
 
 

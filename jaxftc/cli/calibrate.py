@@ -159,10 +159,11 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
         f"{promise.at_most_per_hour:.3g} alarms an hour, with {100 * promise.confidence:g} % confidence"
     )
     if promise.method == "tail":
-        lines.append(
-            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s ({promise.wanted_per_hour:.3g} "
-            "alarms an hour) by counting: thresholds are EXTRAPOLATED from a fitted tail; record more for a promise"
-        )
+        lines += [
+            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s by counting "
+            f"({promise.wanted_per_hour:.3g} an hour): EXTRAPOLATED from a fitted tail,",
+            f"by which it is {promise.fitted_per_hour:.3g} an hour; record more to know",
+        ]
     else:
         lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")
     return "\n".join(lines)

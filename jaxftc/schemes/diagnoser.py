@@ -158,11 +158,10 @@ def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> 
     return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), slow
 
 
-def stiction(robot: Robot) -> np.ndarray:
-    """Largest torque [n] N m that a standing joint may hold by friction: the model's, or where it has none a usual share."""
+def stiction(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Largest torque [n] N m that a standing joint may hold by friction: the model's, and a usual share of the limit."""
     known = np.maximum(np.abs(robot.coulomb_positive), np.abs(robot.coulomb_negative))
-    usual = np.where(np.isfinite(robot.torque_limit), HELD * robot.torque_limit, 0.0)
-    return np.where(known > 0, known, usual)
+    return known, np.where(np.isfinite(robot.torque_limit), HELD * robot.torque_limit, 0.0)
 
 
 class Diagnoser:
