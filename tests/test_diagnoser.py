@@ -120,11 +120,13 @@ def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fa
 
 
 def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
-    """A log whose clock slips by half a sample, for every joint at once; the same on one joint is a jump."""
+    """A log whose clock slips by half a sample, for every joint at once, is no encoder's; a jump of one joint is."""
     q, late = log.q.copy(), log.q.copy()
     q[ON] = 0.5 * (q[ON] + q[ON - 1])
     late[ON:, 0] += 0.02
-    assert not logs.diagnose(config, calibration.gains, log._replace(q=q)).verdict.any()
+    assert not (
+        np.asarray(logs.diagnose(config, calibration.gains, log._replace(q=q)).verdict) & jaxftc.Verdict.SENSOR
+    ).any()
     assert logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[ON, 0] == jaxftc.Verdict.SENSOR
 
 
@@ -177,7 +179,7 @@ def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
     with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\)"):
         calibrate_on_logs(config, calibration.gains, [log], false_alarms=0)
     tau = log.tau.copy()
-    tau[700:] = 3e38
+    tau[700:] = 1e308
     with pytest.raises(ValueError, match=r"log 1: statistic_tau is not finite at 7.* s"):
         calibrate_on_logs(config, calibration.gains, [log._replace(tau=tau)])
 
@@ -286,7 +288,7 @@ def test_diagnose_writes_the_timeline(files, capsys):
         assert [row["joint_name"] for row in csv.DictReader(text)] == ["shoulder_joint"]
     import duckdb
 
-    rows = duckdb.sql(f"select count(*), max(t), max(verdict_shoulder_joint) from '{out}/samples.parquet'").fetchone()
+    rows = duckdb.sql(f"select count(*), max(t), max(verdict_shoulder_joint) from '{out}/samples.parquet'").fetchall()[0]
     assert rows == (1600, pytest.approx(15.99), 2)
     page = (out / "report.html").read_text()
     assert "shoulder_joint" in page and "Residuals and events" in page

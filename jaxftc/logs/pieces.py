@@ -11,23 +11,23 @@ from typing import Any
 import numpy as np
 
 from jaxftc.config import Config
+from jaxftc.io import tables
 from jaxftc.logs.log import Log
 from jaxftc.logs.read import read
 
 PIECE = 500_000  # rows
-TABLES = {".parquet": "read_parquet($path)", ".csv": "read_csv($path)"}
 
 
 def rows(path: Path) -> int | None:
     """How many rows a table has; None for files that are read whole."""
-    reader = TABLES.get(path.suffix.lower())
+    reader = tables.READERS.get(path.suffix.lower())
     if reader is None:
         return None
     import duckdb
 
     try:
-        with duckdb.connect() as connection:
-            found = connection.execute(f"select count(*) from {reader}", {"path": str(path)}).fetchone()
+        with tables.connect() as connection:
+            found = connection.execute(f"select count(*) from {reader}", {"files": tables.names([path])}).fetchone()
             return None if found is None else int(found[0])
     except duckdb.Error:
         return None  # ``read`` says what is wrong with it
@@ -45,15 +45,13 @@ def pieces(
     if count is None or count <= PIECE:
         yield read(path, arm, **options), 0.0, False
         return
-    import duckdb
-
     with tempfile.TemporaryDirectory() as folder:
         part, begins, last, config = Path(folder) / path.with_suffix(".parquet").name, 0.0, None, None
         for first in range(0, count, PIECE):
-            reader = TABLES[path.suffix.lower()]
-            with duckdb.connect() as connection:
+            reader = tables.READERS[path.suffix.lower()]
+            with tables.connect() as connection:
                 query = f"copy (select * from {reader} limit {PIECE + 1} offset {first}) to $out (format parquet)"
-                connection.execute(query, {"path": str(path), "out": str(part)})
+                connection.execute(query, {"files": tables.names([path]), "out": str(part)})
             log = read(part, arm if config is None else config, **options)
             config = config or make_config(log.dt or 0.0)
             if last is not None:  # a piece takes the first row of the next one with it: the same reading

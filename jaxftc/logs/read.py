@@ -25,6 +25,7 @@ from jaxftc.robot.arm_file import Arm, Recording
 from jaxftc.robot.model import Robot
 
 LEAST_ROWS = 100
+FARTHEST, STRONGEST = 1e4, 1e6  # rad and N m that no joint reads
 SLOWER = 2.2  # a sample time this much shorter than the log's own would be made up between its rows
 
 
@@ -113,6 +114,9 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     if options.degrees or (options.degrees is None and why):
         notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
         q = np.deg2rad(q)
+    _absurd(found.angle, q, rows.kept, FARTHEST, "rad, no angle of a joint")
+    if tau is not None and found.torque:
+        _absurd(found.torque, tau, rows.kept, STRONGEST, "N m, no torque of a joint")
     q, said = unwrapped(rows.t, q, rows.starts)
     notes += said
     strange = options.check and other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
@@ -220,6 +224,16 @@ def _torque(
     elif recording.torque_offset is not None:
         tau = tau + np.asarray(recording.torque_offset)
     return tau, "A" if current else "N m"
+
+
+def _absurd(names: list[str], values: np.ndarray, rows: np.ndarray, most: float, what: str) -> None:
+    """Refuse a finite number that nothing can have measured."""
+    beyond = np.argwhere(np.abs(values) > most)
+    if len(beyond):
+        k, j = beyond[0]
+        raise ValueError(
+            f"row {rows[k] + 1}, column {names[j]!r}: {values[k, j]:.6g} {what}; mend that cell or cut the row out"
+        )
 
 
 def _hollow(found: Columns, q: np.ndarray, tau: np.ndarray | None) -> None:
