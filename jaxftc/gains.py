@@ -93,6 +93,7 @@ class DiagnosisGains:
     lam_q: Array = _gain("n", "1", 1.0, low=0.0, high=1.0)
     leak_tau: Array = _gain("n", "1", 0.1, above=0.0, high=1.0)  # l, forgetting of that mean per tick
     leak_q: Array = _gain("n", "1", 0.1, above=0.0, high=1.0)
+    rate: Array = _gain("n", "1/s", 10.0, above=0.0)  # bandwidth of the torque residual (Diagnoser)
     stiction: Array = _gain("n", "N m", 0.0, low=0.0)  # residual that a standing joint may hold by friction (Diagnoser)
 
 

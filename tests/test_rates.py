@@ -64,8 +64,12 @@ def test_no_such_encoder(given):
 def test_an_unstable_observer_is_refused_with_its_radius(use):
     """The gains of 1 ms at 10 ms: they ran to NaN, and NaN was normal."""
     slow, of_1_ms = config(0.01), jaxftc.default_gains(config(1e-3))
-    gains = exact(slow, dataclasses.replace(of_1_ms, arx=jaxftc.default_gains(slow).arx).replace({"arx.xi_a": 0.8, "arx.xi_b": 0.8}))
-    with pytest.raises(ValueError, match=r"joint 1 .* is unstable at dt = 0.01 s: the spectral radius .* is 1\.\d+ and must be"):
+    gains = exact(
+        slow, dataclasses.replace(of_1_ms, arx=jaxftc.default_gains(slow).arx).replace({"arx.xi_a": 0.8, "arx.xi_b": 0.8})
+    )
+    with pytest.raises(
+        ValueError, match=r"joint 1 .* is unstable at dt = 0.01 s: the spectral radius .* is 1\.\d+ and must be"
+    ):
         if use == "init":
             jaxftc.init(slow, gains, jnp.zeros(3))
         elif use == "simulate":
@@ -100,7 +104,7 @@ def test_a_healthy_arm_is_quiet_with_every_encoder(dt):
 
 
 def closed_loop(config, gains, count, noise):
-    """Verdicts [T, n, encoders] and the largest tracking error, of the nominal arm with encoders of counts or white noise."""
+    """Verdicts [T, n, encoders] and largest tracking error of the nominal arm, with encoders of counts or white noise."""
     robot, plant, n = config.robot, dynamics.nominal_plant(config.robot), config.n
     start = jnp.zeros((n, len(noise)))
 

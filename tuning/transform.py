@@ -60,7 +60,12 @@ def idle(config: Config) -> set[str]:
     if config.scheme != "cascade":
         return {f"{block}.{name}" for block, name, _ in specs()} - set(USED_BY[config.scheme])
     baseline = tuple(name for block, name, _ in specs() if block == "baseline")
-    unused: dict[str, tuple[str, ...]] = {"observer": (), "control": (), "baseline": baseline, "diagnosis": ("stiction",)}
+    unused: dict[str, tuple[str, ...]] = {
+        "observer": (),
+        "control": (),
+        "baseline": baseline,
+        "diagnosis": ("rate", "stiction"),
+    }
     if config.observer != "ts":
         unused["observer"] += FUZZY_OBSERVER
     if config.observer == "pi":

@@ -38,9 +38,7 @@ class Laws(common.Options):
         """Robot, engine and timing, before a scheme is chosen."""
         from jaxftc import Config
 
-        return Config(
-            common.load_arm(self), dt=common.sample_time(self), engine=self.engine, duration=self.duration
-        )
+        return Config(common.load_arm(self), dt=common.sample_time(self), engine=self.engine, duration=self.duration)
 
     def job(self, config: Config) -> Job:
         """Everything that a row depends on, with the gains that were asked for."""

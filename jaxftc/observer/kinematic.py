@@ -184,8 +184,8 @@ def _slip(config: Config, w: Array, speed: Array) -> Array:
 def _freeze(config: Config, state: State, inputs: Inputs, absent: Array) -> State:
     """Readings that stay the same while the arm moves.
 
-    The arm is taken to go on with the speed that it had when the reading last changed, braking if it braked, until it stands. Of
-    an encoder that never stood still half so long before, an actuator alarm is enough to say that the arm moves.
+    The arm is taken to go on with the speed that it had when the reading last changed, braking if it braked, until it
+    stands. Of an encoder that never stood still half so long before, an actuator alarm is enough to say that the arm moves.
     """
     dt, step = config.dt, jnp.abs(inputs.q - state.reading)
     same = absent | (step == 0)

@@ -54,9 +54,9 @@ def check(config: Config, gains: Gains) -> None:
     if not (radius < 1).all():
         joint = int(np.argmax(np.where(np.isfinite(radius), radius, np.inf)))
         raise ValueError(
-            f"the observer of joint {joint + 1} ({config.robot.joint_names[joint]}) is unstable at dt = {config.dt:g} s: the "
-            f"spectral radius of its error is {radius[joint]:.4g} and must be below 1; default_gains(config) gives gains for "
-            "this dt, or lower observer.alpha_i and alpha_f1, alpha_f3"
+            f"the observer of joint {joint + 1} ({config.robot.joint_names[joint]}) is unstable at dt = {config.dt:g} s: "
+            f"the spectral radius of its error is {radius[joint]:.4g} and must be below 1; default_gains(config) gives "
+            "gains for this dt, or lower observer.alpha_i and alpha_f1, alpha_f3"
         )
 
 

@@ -10,8 +10,8 @@ for a better sensor leaves the model's errors as they are. With t the observer's
 
 * the poles of its error are today's to the power of t, which gives xi and alpha_p; so is 1 less what a leak or a low-pass
   forgets in a tick, and what the integrals take up of a fault in a tick, which gives alpha_i and alpha_f;
-* a fault of the same size is an innovation pace^-2 as large: alpha_sm and alpha_sm0 go with pace, eps with pace^-2, lead with
-  pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it alpha_tau;
+* a fault of the same size is an innovation pace^-2 as large: alpha_sm and alpha_sm0 go with pace, eps with pace^-2, lead
+  with pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it alpha_tau;
 * a jump must stand out of the noise and of what a torque can do in a tick;
 * the loop of control is slowed where its delay of a tick or two would count.
 """
@@ -99,7 +99,7 @@ def _factors(config: Config, today: dict[str, dict[str, Any]], pace: np.ndarray,
         kept = 1 - today[block][name]
         factors[path] = (1 - kept**ticks) / (1 - kept)
     factors |= {"control.lam": 1 / slow, "baseline.kd": 1 / slow, "baseline.kp": slow**-2, "control.eps": wait}
-    return factors | {"baseline.rate": pace, "baseline.noise_y": np.maximum(sigma, 1e-3)}
+    return factors | {"baseline.rate": pace, "diagnosis.rate": pace, "baseline.noise_y": np.maximum(sigma, 1e-3)}
 
 
 def _placed(xi: np.ndarray, own: dict[str, np.ndarray], ticks: np.ndarray) -> dict[str, np.ndarray]:

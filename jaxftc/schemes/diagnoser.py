@@ -1,4 +1,4 @@
-"""Observer and diagnosis under somebody else's controller: readings and torques in, verdicts out, no reference and no command.
+"""Observer and diagnosis under somebody else's controller: readings and torques in, verdicts out, no reference, no command.
 
 The sensor channel is ``observer.kinematic``: it needs no model of the arm. The torque channel is the momentum observer
 (``schemes.momentum``): it needs no acceleration, and never divides by an inertia, which of an identified model may be far
@@ -10,7 +10,8 @@ the mean of two. Statistics, alarms and verdicts are the cascade's.
 * A reading that is held to be wrong explains the torque residuals of all joints: their model was evaluated at it. A jump is
   taken out of the reading and explains nothing.
 
-Left out: the velocity transient of ``sensor_check``. A short peak of the torque residual is friction more often than a drift.
+Left out: the velocity transient of ``sensor_check``. A short peak of the torque residual is friction more often than a
+drift.
 """
 
 from __future__ import annotations
@@ -134,7 +135,7 @@ def _balance(
     now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
     middle = before._replace(drift=0.5 * (before.drift + now[1]))
     first = -jnp.log1p(-1 / (state.age + 1.001)) / config.dt  # a mean of all so far
-    rate = jnp.maximum(gains.baseline.rate, first)
+    rate = jnp.maximum(gains.diagnosis.rate, first)
     r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, rate).r
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
     blind = (seen.missing | (seen.h_s > 0.1)).any(0)
@@ -146,13 +147,13 @@ def _balance(
 def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array]:
     """What friction holds of the residual r [n, ...] N m at speeds qd [n, ...] rad/s, and how long the joint has been slow.
 
-    For a while after a joint has come to rest, any torque up to ``diagnosis.stiction``; then what it held, and slow changes of
-    it. It dies out as the residual does once the joint moves. While there is an alarm it stays.
+    For a while after a joint has come to rest, any torque up to ``diagnosis.stiction``; then what it held, and slow changes
+    of it. It dies out as the residual does once the joint moves. While there is an alarm it stays.
     """
     own, dt = gains.diagnosis.stiction, config.dt
     slow = jnp.where(jnp.abs(qd) < SLOW, state.slow + dt, 0.0)
     held = jnp.clip(state.offset + jnp.where(slow < OFFSET, 1.0, dt / OFFSET) * (r - state.offset), -own, own)
-    moving = state.offset * jnp.exp(-gains.baseline.rate * dt)
+    moving = state.offset * jnp.exp(-gains.diagnosis.rate * dt)
     offset = jnp.where(slow > 0, held, moving)
     return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), slow
 
@@ -164,7 +165,9 @@ def stiction(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
 
 
 class Diagnoser:
-    """Fault diagnosis beside a controller that is not ours::
+    """Fault diagnosis beside a controller that is not ours.
+
+    ::
 
         diagnoser = jaxftc.Diagnoser(config, gains)
         state = diagnoser.init(q)
@@ -185,8 +188,8 @@ class Diagnoser:
         checks.instance("gains", gains, Gains)
         if config.input != "rigid_body":
             raise ValueError(
-                'the diagnoser needs input="rigid_body": it holds torques against the arm\'s model; without a model give NaN '
-                "torques, and the readings alone are judged"
+                'the diagnoser needs input="rigid_body": it holds torques against the arm\'s model; without a model give '
+                "NaN torques, and the readings alone are judged"
             )
         check_gains(config, gains)
         stability.check(config, gains)
