@@ -18,6 +18,8 @@ from jaxftc.campaigns.calibrate import (
     with_thresholds,
     without_faults,
 )
+from jaxftc.io.tables import write_parquet
+from jaxftc.scenarios.scenario import paper_scenario
 from tests.arms import three_hinges
 
 
@@ -116,3 +118,42 @@ def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
     assert (
         dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(small).diagnosis).keys()
     )
+
+
+# On recorded logs; thresholds from them are in test_diagnoser.py.
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory):
+    """A simulated healthy run as a user would have it: a log of 1 s at 1 kHz."""
+    config = jaxftc.Config(three_hinges(), engine="chain", duration=1.0)
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), paper_scenario("healthy", config), jax.random.key(63))
+    columns = {"t": np.asarray(trace.t)}
+    columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j]) for j in range(config.n)}
+    columns |= {f"tau{j + 1}": np.ascontiguousarray(trace.out.tau[:, j]) for j in range(config.n)}
+    path = tmp_path_factory.mktemp("logs") / "log.parquet"
+    write_parquet(path, columns)
+    return config, trace, path
+
+
+def test_a_log_is_diagnosed_as_the_arm_was(logged):
+    """The nominal arm leaves no torque over, whoever drives it."""
+    config, _, path = logged
+    out = logs.diagnose(config, jaxftc.default_gains(config), logs.read(path, config))
+    assert not np.asarray(out.detected).any()
+    assert np.abs(np.asarray(out.statistic_tau)[600:]).max() < 0.5
+
+
+def test_a_log_of_another_rate_is_brought_to_the_sample_time(logged, tmp_path):
+    config, _, path = logged
+    whole = logs.read(path, config)
+    t = np.arange(0, 1, 0.002)
+    rows = {"t": t}
+    for j in range(config.n):
+        rows |= {f"q{j + 1}": whole.q[::2, j], f"tau{j + 1}": whole.tau[::2, j]}
+    write_parquet(tmp_path / "half.parquet", rows)
+    half = logs.read(tmp_path / "half.parquet", config)
+    assert len(half.q) == 999
+    np.testing.assert_allclose(half.q[::2], whole.q[::2])
+    np.testing.assert_allclose(half.q, whole.q[:999], atol=2e-4)
+    np.testing.assert_allclose(half.tau[::2], whole.tau[::2], atol=1e-6)

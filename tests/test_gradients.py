@@ -29,7 +29,7 @@ FUZZY_STAGE = {f"observer.{name}" for name in ("alpha_f1", "alpha_f2", "alpha_f3
 FUZZY_STAGE |= {f"observer.{channel}_{part}" for channel in ("tau", "jump") for part in ("centres", "widths")}
 FUZZY_GAIN = {f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")}
 SUPER_TWISTING = {"observer.alpha_sm", "observer.alpha_sm0", "observer.eps"}
-BASELINE = {name for name in NAMES if name.startswith("baseline.")} | {"diagnosis.stiction"}
+BASELINE = {name for name in NAMES if name.startswith("baseline.")} | {"diagnosis.rate", "diagnosis.stiction"}
 
 
 class Case(NamedTuple):

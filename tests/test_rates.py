@@ -104,7 +104,7 @@ def test_a_healthy_arm_is_quiet_with_every_encoder(dt):
 
 
 def closed_loop(config, gains, count, noise):
-    """Verdicts [T, n, encoders] and the largest tracking error of the nominal arm, with counts or white noise."""
+    """Verdicts [T, n, encoders] and largest tracking error of the nominal arm, with encoders of counts or white noise."""
     robot, plant, n = config.robot, dynamics.nominal_plant(config.robot), config.n
     start = jnp.zeros((n, len(noise)))
 

@@ -4,11 +4,11 @@ The diagnosis runs over the logs with thresholds that nothing reaches. Of every 
 joint and channel is scaled by its own largest one; what is left is one series, the largest of all, and one factor.
 
 * The factor is the order statistic that a binomial law allows with the wanted confidence, where the logs hold enough runs.
-* Otherwise it comes from a fitted tail: what lies above a high quantile follows a generalised Pareto law, its scale at the
-  upper end of its confidence interval. That is an extrapolation, and marked as one.
+* Otherwise it comes from a fitted tail: what lies above a high quantile follows a generalised Pareto law. That is an
+  extrapolation and marked as one; it is kept within bounds, and what the tail says at them is reported.
 
 The rate of the momentum observer is chosen for each joint: slow, it averages what the model has wrong of friction and
-acceleration; fast, it sees a fault sooner. The rate is taken whose threshold is smallest, longer waiting counted in:
+acceleration; fast, it sees a fault sooner. That rate is taken whose threshold is smallest, its delay counted in:
 alpha (1 + WAIT / rate). The jump is set above what healthy readings show, and above what a torque may do to a joint in one
 sample time.
 """
@@ -35,8 +35,8 @@ FASTEST = 0.3  # of the sample rate
 WAIT = 2.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
 LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
-TRANSFER, FARTHEST = 1.15, 1.2  # on the largest seen, at least: other motions are not quite these; and at most: a tail that
-# a minute has shown is not believed further out. The promise says what that leaves open.
+TRANSFER = 1.15  # times the largest seen, at least: other motions are not quite these
+FARTHEST = 1.2  # and at most: what a minute has shown of a tail is not believed further out
 LEAST_JUMP = 1e-5  # rad, of w
 NEVER = 1e9  # a threshold that nothing reaches
 LEAST_BLOCKS = 10
@@ -138,7 +138,7 @@ def calibrate_on_logs(
         "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
         "diagnosis.lam_tau": 1.0,
         "observer.jump": 2 * half_jump,
-        "baseline.rate": _rates(config)[which],
+        "diagnosis.rate": _rates(config)[which],
         "diagnosis.stiction": stiction,
     }
     gains = gains.replace(changes)
@@ -214,7 +214,7 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 def _open(config: Config, gains: Gains) -> Gains:
     """Gains with every rate side by side, and thresholds that nothing reaches."""
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
-    never |= {"baseline.rate": np.tile(_rates(config), (config.n, 1))}
+    never |= {"diagnosis.rate": np.tile(_rates(config), (config.n, 1))}
     return gains.replace(never)
 
 

@@ -160,9 +160,8 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     )
     if promise.method == "tail":
         lines += [
-            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s by counting "
-            f"({promise.wanted_per_hour:.3g} an hour): EXTRAPOLATED from a fitted tail,",
-            f"by which it is {promise.fitted_per_hour:.3g} an hour; record more to know",
+            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, {promise.wanted_per_hour:.3g}",
+            f"an hour, by counting: EXTRAPOLATED from a fitted tail, by which it is {promise.fitted_per_hour:.3g} an hour",
         ]
     else:
         lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")

@@ -200,7 +200,7 @@ def as_text(record: dict[str, Any]) -> str:
         size = f"{e['size']:.3g} {e['unit']}"
         lines.append(f"{e['start_s']:10.2f}{e['end_s']:10.2f}  {e['joint_name']:22}{e['kind']:10}{size:>12}")
     lines.append(
-        f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; "
-        f"alarm in {100 * record['alarm_share']:.3g} % of the ticks, {record['glitches']} glitches"
+        f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; alarm in "
+        f"{100 * record['alarm_share']:.3g} % of the ticks, {record['glitches']} glitches"
     )
     return "\n".join(lines)

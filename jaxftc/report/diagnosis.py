@@ -56,7 +56,7 @@ def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelop
     for event in record["events"]:
         colour = COLOURS[(event["joint"] - 1) % len(COLOURS)]
         figure.add_vrect(x0=event["start_s"], x1=event["end_s"], fillcolor=colour, opacity=0.2, line_width=0, layer="below")
-    note = "Shaded in the joint's colour: its events. Dashed: thresholds. A curve lies between its least and largest values."
+    note = "Shaded in the joint's colour: its events. Dashed: thresholds. Curves go between their least and largest values."
     finish(figure, "Residuals and events", note, panels=2, together=True)
     rows = [
         [f"{e['start_s']:.2f}", f"{e['end_s']:.2f}", e["joint_name"], e["kind"], f"{e['size']:.3g} {e['unit']}"]

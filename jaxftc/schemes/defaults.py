@@ -102,7 +102,7 @@ def _factors(config: Config, today: dict[str, dict[str, Any]], pace: np.ndarray,
         kept = 1 - today[block][name]
         factors[path] = (1 - kept**ticks) / (1 - kept)
     factors |= {"control.lam": 1 / slow, "baseline.kd": 1 / slow, "baseline.kp": slow**-2, "control.eps": wait}
-    return factors | {"baseline.rate": pace, "baseline.noise_y": np.maximum(sigma, 1e-3)}
+    return factors | {"baseline.rate": pace, "diagnosis.rate": pace, "baseline.noise_y": np.maximum(sigma, 1e-3)}
 
 
 def _placed(xi: np.ndarray, own: dict[str, np.ndarray], ticks: np.ndarray) -> dict[str, np.ndarray]:

@@ -135,7 +135,7 @@ def _balance(
     now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
     middle = before._replace(drift=0.5 * (before.drift + now[1]))
     first = -jnp.log1p(-1 / (state.age + 1.001)) / config.dt  # a mean of all so far
-    rate = jnp.maximum(gains.baseline.rate, first)
+    rate = jnp.maximum(gains.diagnosis.rate, first)
     r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, rate).r
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
     blind = (seen.missing | (seen.h_s > 0.1)).any(0)
@@ -153,7 +153,7 @@ def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> 
     own, dt = gains.diagnosis.stiction, config.dt
     slow = jnp.where(jnp.abs(qd) < SLOW, state.slow + dt, 0.0)
     held = jnp.clip(state.offset + jnp.where(slow < OFFSET, 1.0, dt / OFFSET) * (r - state.offset), -own, own)
-    moving = state.offset * jnp.exp(-gains.baseline.rate * dt)
+    moving = state.offset * jnp.exp(-gains.diagnosis.rate * dt)
     offset = jnp.where(slow > 0, held, moving)
     return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), slow
 
