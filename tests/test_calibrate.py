@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc import logs
 from jaxftc.campaigns import calibrate as module
 from jaxftc.campaigns import run
 from jaxftc.campaigns.calibrate import (

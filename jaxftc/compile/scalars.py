@@ -260,6 +260,7 @@ SHAPES: dict[str, Callable[..., Places | list[Places]]] = {  # what only moves n
     "transpose": lambda params, array: array.transpose(params["permutation"]),
     "concatenate": lambda params, *arrays: np.concatenate(arrays, params["dimension"]),
     "stack": lambda params, *arrays: np.stack(arrays, params["axis"]),
+    "unstack": lambda params, array: list(np.moveaxis(array, params["axis"], 0)),
     "slice": _cut,
     "split": _split,
     "rev": lambda params, array: np.flip(array, params["dimensions"]),

@@ -5,6 +5,7 @@ An SQLite file is read as it is, without metadata beside it. MCAP and compressed
 
 from __future__ import annotations
 
+import contextlib
 import sqlite3
 import struct
 from collections.abc import Iterator
@@ -99,7 +100,8 @@ def _chosen(path: Path, topics: list[str]) -> str:
 
 def _sqlite(path: Path) -> Iterator[tuple[str, int, bytes]]:
     try:  # immutable: nothing is written beside a file that may be in a folder without permission
-        with sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True) as connection:
+        database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
+        with contextlib.closing(database) as connection:
             topics = {
                 name: key for key, name, kind in connection.execute("select id, name, type from topics") if kind in TYPE
             }
