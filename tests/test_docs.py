@@ -29,6 +29,7 @@ REDUCED = {  # options added to the printed commands before they run here: their
     "campaign": "-n 16",
     "calibrate": "--runs 600 --duration 0.2",
     "identify": "",
+    "diagnose": "",
     "bench": "--quick",
     "view": "",
     "inspect": "",

@@ -52,7 +52,8 @@ def pieces(
             with tables.connect() as connection:
                 query = f"copy (select * from {reader} limit {PIECE + 1} offset {first}) to $out (format parquet)"
                 connection.execute(query, {"files": tables.names([path]), "out": str(part)})
-            log = read(part, arm if config is None else config, **options)
+            source: Any = arm if config is None else config
+            log = read(part, source, **options)
             config = config or make_config(log.dt or 0.0)
             if last is not None:  # a piece takes the first row of the next one with it: the same reading
                 turns = 2 * np.pi * np.round((last.q[-1] - log.q[0]) / (2 * np.pi))

@@ -55,7 +55,7 @@ class State(NamedTuple):
     run: Array  # [n, ...] jumps in a row to one side, negative for those down
     drifts: Array  # [n, ...] 1 while the reading is held to drift, else 0
     reading: Array  # [n, ...] rad, last one
-    count: Array  # [n, ...] rad, least change of a reading so far
+    least: Array  # [n, ...] rad, least change of a reading so far
     equal: Array  # [n, ...] readings in a row that did not change
     longest: Array  # [n, ...] most of them so far
     speed: Array  # [n, ...] rad/s, of the arm since the reading last changed
@@ -197,12 +197,12 @@ def _freeze(config: Config, state: State, inputs: Inputs, absent: Array) -> Stat
     ahead = state.speed + dt * braking
     ahead = jnp.where(ahead * state.speed > 0, ahead, 0.0)
     travel = jnp.where(same, state.travel + dt * jnp.abs(state.speed), 0.0)
-    far = jnp.maximum(COUNTS * state.count, TRAVEL)
+    far = jnp.maximum(COUNTS * state.least, TRAVEL)
     unlike = (equal > 2 * state.longest + FROZEN) & (equal * dt >= 0.1) & inputs.alarmed_tau
     frozen = (equal >= FROZEN) & ((travel > far) | unlike | (state.frozen > 0))
     return state._replace(
         reading=jnp.where(absent, state.reading, inputs.q),
-        count=jnp.where(absent | (step == 0), state.count, jnp.minimum(state.count, step)),
+        least=jnp.where(absent | (step == 0), state.least, jnp.minimum(state.least, step)),
         equal=equal,
         longest=jnp.where(frozen, state.longest, jnp.maximum(state.longest, equal)),
         speed=jnp.where(same, ahead, changed),
