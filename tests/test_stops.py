@@ -1,5 +1,6 @@
 """Bad options, closed streams and signals: one line, at once, whatever the command is doing."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -63,10 +64,23 @@ def test_options_that_cannot_be_are_refused_before_anything_runs(refused, argume
     assert words in refused(*arguments)
 
 
-def process(program, cwd=None):
-    return subprocess.Popen(
-        [sys.executable, "-c", program], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+@pytest.fixture
+def process(tmp_path):
+    """Start a program; a shell in the background has its children ignore Ctrl-C, which here they must hear."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    with contextlib.ExitStack() as started:
+
+        def start(program):
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+            running = subprocess.Popen([sys.executable, "-c", program], cwd=tmp_path, text=True, **pipes)
+            started.enter_context(running)
+            started.callback(running.kill)
+            return running
+
+        yield start
+    signal.signal(signal.SIGINT, before)
 
 
 BUSY = {  # what the process does when the signal comes; it says so before
@@ -90,9 +104,9 @@ BUSY = {  # what the process does when the signal comes; it says so before
 
 @pytest.mark.parametrize("what", BUSY)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_command_at_once(tmp_path, what, number):
+def test_a_signal_ends_a_command_at_once(process, tmp_path, what, number):
     program = f"import sys; from jaxftc.cli.stop import at_once\nwith at_once():\n    {BUSY[what]}\nprint('went on')"
-    running = process(program, cwd=tmp_path)
+    running = process(program)
     assert running.stdout and running.stdout.readline() == "now\n"
     running.send_signal(number)
     began = time.monotonic()
@@ -102,13 +116,13 @@ def test_a_signal_ends_a_command_at_once(tmp_path, what, number):
     assert not list(tmp_path.iterdir()), "what was half written is gone"
 
 
-def test_a_signal_that_was_to_be_ignored_is(tmp_path):
+def test_a_signal_that_was_to_be_ignored_is(process):
     program = "import os, signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\nfrom jaxftc.cli.stop import at_once\n"
     program += "with at_once(): os.kill(os.getpid(), signal.SIGINT)\nprint('went on')"
-    assert process(program, cwd=tmp_path).communicate(timeout=30) == ("went on\n", "")
+    assert process(program).communicate(timeout=30) == ("went on\n", "")
 
 
-def test_nothing_heavy_is_loaded_before_somebody_answers_signals():
+def test_nothing_heavy_is_loaded_before_somebody_answers_signals(process):
     program = (
         "import sys, jaxftc.cli.main; print({'tyro', 'numpy', 'jax', 'duckdb', 'importlib.metadata'} & set(sys.modules))"
     )
