@@ -68,7 +68,7 @@ def test_presets_draw_what_they_drew_when_the_figures_were_made(many, name):
     """Drawn by the release that had the laws in its code; other machines may round the last digit otherwise."""
     rows = [0, 5, 77, 199]
     mine = named(jax.tree.map(lambda leaf: leaf[rows], many[name]))
-    with np.load(Path(__file__).parent / "golden" / "presets.npz") as golden:
+    with np.load(Path(__file__).parents[1] / "golden" / "presets.npz") as golden:
         wanted = {key.removeprefix(name): golden[key] for key in golden.files if key.startswith(name)}
     assert mine.keys() == wanted.keys()
     for key, leaf in wanted.items():

@@ -204,7 +204,7 @@ def test_two_devices_give_what_one_gives(row, tmp_path):
     path, program = tmp_path / "results.npz", "from tests import grid; grid.main()"
     command = [sys.executable, "-c", program, str(path), *map(str, row)]
     environment = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_NUM_CPU_DEVICES": "2"}
-    subprocess.run(command, check=True, cwd=Path(__file__).parents[1], env=environment)
+    subprocess.run(command, check=True, cwd=Path(__file__).parents[2], env=environment)
     one = grid.everything(row)
     with np.load(path) as two:
         assert set(two) == set(one)

@@ -20,7 +20,7 @@ from jaxftc import variants
 from jaxftc.campaigns import store
 from jaxftc.robot.model import compile_robot
 
-FOLDER = Path(__file__).parents[1] / "docs" / "schemes"
+FOLDER = Path(__file__).parents[2] / "docs" / "schemes"
 START = np.array([0.3, -0.2])
 
 

@@ -11,7 +11,7 @@ import pytest
 import jaxftc
 from jaxftc.scenarios.scenario import stack, trail
 from tests.arms import three_hinges
-from tests.test_gradients import base_gains, faulty
+from tests.contract.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform
 
 BATCH = 2

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 MEAN, LONGEST = 20, 35  # words a sentence
 OLD = {  # words of our own, and what to say instead
     r"second look": "sensor check",

@@ -15,7 +15,7 @@ import jaxftc
 import tuning
 from jaxftc.gains import BLOCKS, Spec, specs
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = {"README.md": (ROOT / "README.md").read_text()}
 PAGES |= {

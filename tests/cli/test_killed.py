@@ -35,7 +35,7 @@ def command(tmp_path_factory):
     """A command by its name: run it in a folder, ``run`` in it; compiled programs stay in a cache of the module's own."""
     home = tmp_path_factory.mktemp("home")
     (home / "arm.xml").write_text(arms.serial(2))
-    environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2])}
     shared = ["--robot", str(home / "arm.xml"), "--engine", "chain", "--seed", "5", "--out", "run"]
 
     def begin(name, folder):

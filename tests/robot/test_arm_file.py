@@ -15,7 +15,7 @@ from jaxftc.robot.arm_file import Recording
 from jaxftc.robot.chain import Link
 from jaxftc.robot.model import compile_robot
 from jaxftc.robot.rigid_body import pose
-from tests.test_robot_files import HAND, TWO, urdf, written
+from tests.robot.test_robot_files import HAND, TWO, urdf, written
 
 WRITTEN = """
 model = "robots/arm.urdf"

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 import jaxftc
 from jaxftc.gains import BLOCKS, check, specs
 from jaxftc.observer import arx
-from tests.test_gradients import CASES
+from tests.contract.test_gradients import CASES
 from tuning import transform
 
 POLES = transform.POLES
