@@ -8,7 +8,7 @@ from benchmarks.peers.mujoco_c import Rollout
 from benchmarks.results import Results, Setup, Table
 from benchmarks.worker import Worker
 from jaxftc.config import Config
-from jaxftc.robot.model import load_robot
+from jaxftc.robot.arm_file import load_robot
 
 SHORT = 0.1  # s, long enough for a rate; large batches stay short
 ROUNDS = 3

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks import arms, workloads
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.scenarios.scenario import trail
 from jaxftc.schemes.defaults import default_gains
 from tuning import transform

@@ -17,8 +17,9 @@ from jaxftc.version import __version__ as __version__
 _ROOMS = {
     "robot.dynamics": ("Plant", "forward_dynamics", "inverse_dynamics", "nominal_plant"),
     "robot.puma560": ("puma560",),
-    "robot.arm_file": ("Arm", "Recording", "load_arm", "save_arm"),
-    "robot.model": ("Robot", "load_robot"),
+    "robot.arm_table": ("Arm", "Recording"),
+    "robot.arm_file": ("load_arm", "load_robot", "save_arm"),
+    "robot.model": ("Robot",),
     "simulation.closed_loop": ("Trace", "simulate"),
     "compile.xla": ("configure_xla",),
     "config": ("Config",),

@@ -4,7 +4,7 @@ import functools
 
 from benchmarks import arms
 from jaxftc import Robot
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 
 
 def two_hinges() -> Robot:

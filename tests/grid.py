@@ -14,7 +14,7 @@ from jaxftc.campaigns.calibrate import Calibration
 from jaxftc.campaigns.calibrate import calibrate as calibrate_on
 from jaxftc.campaigns.run import campaign as campaign_of
 from jaxftc.compile.devices import AXIS
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import Trace
 from tuning import Result, Settings

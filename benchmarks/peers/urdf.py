@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxftc.robot.model import Link, Robot
+from jaxftc.robot.link import Link
+from jaxftc.robot.model import Robot
 
 
 def as_urdf(robot: Robot) -> str:

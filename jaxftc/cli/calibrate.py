@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
     from jaxftc.logs.log import Log
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
 
 
 @dataclasses.dataclass

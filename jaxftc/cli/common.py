@@ -21,7 +21,7 @@ from jaxftc.variants import variants
 if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.gains import Gains
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
     from jaxftc.robot.model import Robot
 
 NO_RESULT = ("out", "json", "cache", "force", "words", "check", "ticks")  # options that a result does not depend on
@@ -147,7 +147,7 @@ def built_in(tip: str | None, lock: tuple[str, ...], *, coulomb: bool) -> Robot:
 
 def read_arm(path: str, tip: str | None, lock: tuple[str, ...], *, cautions: bool = True) -> Robot:
     """A robot from a file; what was welded or left out, and what makes results doubtful, goes to stderr."""
-    from jaxftc.robot.model import read_robot
+    from jaxftc.robot.arm_file import read_robot
 
     robot = read_robot(path, tip=tip, lock=numbers("--lock", lock))
     for line in robot.notes + robot.cautions * cautions:
@@ -158,7 +158,7 @@ def read_arm(path: str, tip: str | None, lock: tuple[str, ...], *, cautions: boo
 def whole_arm(robot: str, tip: str | None, lock: tuple[str, ...]) -> Arm:
     """The robot that ``--robot`` names, and how its logs are read."""
     from jaxftc.robot import arm_file
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
 
     if robot == "puma560":
         return Arm(built_in(tip, lock, coulomb=True))

@@ -16,7 +16,7 @@ from jaxftc.cli.identify import LogOptions, column_names
 if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.logs.log import Log
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
 
 SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
 

@@ -13,7 +13,7 @@ from jaxftc.cli import common
 if TYPE_CHECKING:
     from jaxftc.identify.physical import Identified, Share
     from jaxftc.logs import Log
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
 
 
 @dataclasses.dataclass
@@ -128,7 +128,7 @@ class Identify(LogOptions, common.ArmOptions):
         import numpy as np
 
         from jaxftc.identify import encoder
-        from jaxftc.robot.arm_file import Arm
+        from jaxftc.robot.arm_table import Arm
 
         before = arm.recording
         gain = found.gain if before.torque_gain is None else found.gain * np.asarray(before.torque_gain)

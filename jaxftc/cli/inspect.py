@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 if TYPE_CHECKING:
-    from jaxftc.robot.arm_file import Arm
+    from jaxftc.robot.arm_table import Arm
 
 
 @dataclasses.dataclass
@@ -33,8 +33,8 @@ class Inspect:
 
     def _arm(self) -> Arm:
         from jaxftc.cli import common
-        from jaxftc.robot.arm_file import Arm, read_arm
-        from jaxftc.robot.model import read_robot
+        from jaxftc.robot.arm_file import read_arm, read_robot
+        from jaxftc.robot.arm_table import Arm
 
         if self.robot == "puma560":
             return Arm(common.built_in(self.tip, self.lock, coulomb=True))

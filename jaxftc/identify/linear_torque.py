@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxftc.compile.xla import jit
 from jaxftc.robot import dynamics, lanes, rigid_body
-from jaxftc.robot.model import Link, Robot
+from jaxftc.robot.link import Link
+from jaxftc.robot.model import Robot
 from jaxftc.types import Array
 
 LINK = ("mass", "mx", "my", "mz", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")  # order of theta_i

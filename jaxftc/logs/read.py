@@ -21,7 +21,7 @@ from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
 from jaxftc.logs.readings import in_degrees, other_rows, unwrapped
 from jaxftc.logs.text import MISSING
-from jaxftc.robot.arm_file import Arm, Recording
+from jaxftc.robot.arm_table import Arm, Recording
 from jaxftc.robot.model import Robot
 
 LEAST_ROWS = 100

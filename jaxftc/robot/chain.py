@@ -1,22 +1,15 @@
-"""The arm in a robot file: one serial chain of hinges, everything else welded where it stands, its mass kept.
-
-Which chain, without ``tip``: from the base outward, past every joint that has to be welded (locked, mimic, sliding).
-Where the tree forks into branches that move, the arm goes on into the one with the most hinges, if it has at least as
-many as there were before the fork; branches with fewer are fingers, a head or wheels. Several branches with equally many
-are fingers, too, or, with more hinges than came before, several arms, and ``tip`` must say which. With ``tip``, a link,
-site or joint, the arm is the chain from the base to there.
-"""
+"""The arm in a robot file: one serial chain of hinges, everything else welded where it stands, its mass kept."""
 
 from __future__ import annotations
 
-import dataclasses
-import difflib
 import math
 from typing import NamedTuple
 
 import numpy as np
 
+from jaxftc.robot.link import Link, oddity
 from jaxftc.robot.tree import HINGE, SLIDE, Joint, Place, Tree, point_inertia, turn
+from jaxftc.robot.which_arm import Ends, no_hinge, path, refuse_within, there, tip_body
 
 TOOL = "tool"  # the site where a payload hangs
 TOOLS = (  # links and sites that are one, the likeliest first; also behind a prefix
@@ -24,17 +17,6 @@ TOOLS = (  # links and sites that are one, the likeliest first; also behind a pr
     *("attachment_site", "flange", "ee_gripper_link", "gripper_link", "gripper", "hand"),
 )
 JAWS = ("gripper", "jaw", "finger", "claw", "hand")
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Link:
-    """One hinge and what it carries, in the frame at the hinge whose z axis is the hinge."""
-
-    rotation: np.ndarray  # [3, 3] this frame at zero angle, in the frame of the hinge before
-    offset: np.ndarray  # [3] m, this origin in the frame of the hinge before
-    mass: float  # kg
-    moment: np.ndarray  # [3] kg m, mass times centre of mass
-    inertia: np.ndarray  # [3, 3] kg m^2, about this origin
 
 
 class Chain(NamedTuple):
@@ -70,20 +52,20 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
     lock = lock or {}
     joints = {joint.name: joint for body in tree.bodies for joint in body.joints}
     for name, value in lock.items():
-        _there("joint", name, list(joints))
+        there("joint", name, list(joints))
         if not math.isfinite(value):
             raise ValueError(f"lock {name!r} must be a finite number of rad or m, got {value!r}")
         if value and joints[name].kind not in (HINGE, SLIDE):
             raise ValueError(f"lock {name!r} must be 0, where it stands: it is a {joints[name].kind} joint; got {value!r}")
-    ends = _Ends(tree, lock)
-    last = ends.without_tip() if tip is None else _tip_body(tree, tip)
-    path = _path(tree, last)
-    arm = [joint for b in path for joint in tree.bodies[b].joints if ends.counts(joint)]
+    ends = Ends(tree, lock)
+    last = ends.without_tip() if tip is None else tip_body(tree, tip)
+    on_the_way = path(tree, last)
+    arm = [joint for b in on_the_way for joint in tree.bodies[b].joints if ends.counts(joint)]
     if not arm:
         raise ValueError(
-            f"has no hinge on the way to {tip!r}; give the last link of the arm" if tip else _no_hinge(joints, lock)
+            f"has no hinge on the way to {tip!r}; give the last link of the arm" if tip else no_hinge(joints, lock)
         )
-    _refuse_within(tree, path, arm, lock)
+    refuse_within(tree, on_the_way, arm, lock)
     hinges = {joint.name: k for k, joint in enumerate(arm)}
     values = {name: _value(joint, joints, lock) for name, joint in joints.items()}
     poses, frames, link_of = _kinematics(tree, hinges, values)
@@ -108,104 +90,6 @@ def pick(tree: Tree, tip: str | None = None, lock: dict[str, float] | None = Non
             f"the last joint {arm[-1].name!r} may be a gripper's, not the arm's; give the arm's last link as tip if so"
         )
     return Chain(links, payload, tuple(arm), names, tool, tree.gravity, tuple(notes), tuple(_odd(tree, link_of)))
-
-
-class _Ends:
-    """Where the arm ends if nobody says it."""
-
-    def __init__(self, tree: Tree, lock: dict[str, float]) -> None:
-        self.tree, self.lock = tree, lock
-        self.below: list[list[int]] = [[] for _ in tree.bodies]
-        self.roots = [b for b, body in enumerate(tree.bodies) if body.parent < 0]
-        for b, body in enumerate(tree.bodies):
-            if body.parent >= 0:
-                self.below[body.parent].append(b)
-        self.own = [sum(self.counts(joint) for joint in body.joints) for body in tree.bodies]
-        self.most = list(self.own)  # hinges of the longest chain from the body on, its own included
-        self.moves = [bool(body.joints) for body in tree.bodies]
-        for b in reversed(range(len(tree.bodies))):
-            parent = tree.bodies[b].parent
-            if parent >= 0:
-                self.most[parent] = max(self.most[parent], self.own[parent] + self.most[b])
-                self.moves[parent] |= self.moves[b]
-
-    def counts(self, joint: Joint) -> bool:
-        """Whether a joint can be one of the arm's."""
-        return joint.kind == HINGE and joint.name not in self.lock and joint.follows is None
-
-    def without_tip(self) -> int:
-        """The last body of the arm that the rule picks."""
-        return self._follow(self.roots, 0, -1)
-
-    def _follow(self, branches: list[int], before: int, last: int) -> int:
-        """The last body of the arm from a body ``last`` on, with ``before`` hinges up to it."""
-        while True:
-            moving = [b for b in branches if self.moves[b]]
-            longest = max((self.most[b] for b in moving), default=0)
-            best = [b for b in moving if self.most[b] == longest]
-            if not longest or (len(moving) > 1 and longest < before) or (len(best) > 1 and longest == before):
-                return last
-            if len(best) > 1:
-                ends = [self.tree.bodies[self._follow([b], before, last)].name for b in best]
-                raise ValueError(
-                    f"holds {len(best)} arms of equal length, to {', '.join(map(repr, ends))}; say which by its last link: "
-                    f"tip={ends[0]!r}, or --tip {ends[0]}"
-                )
-            last, before, branches = best[0], before + self.own[best[0]], self.below[best[0]]
-
-
-def _no_hinge(joints: dict[str, Joint], lock: dict[str, float]) -> str:
-    if not joints:
-        return "has no joint; a serial arm of at least one hinge is needed"
-    left = [f"{j.name!r} ({'locked' if j.name in lock else 'mimic' if j.follows else j.kind})" for j in joints.values()]
-    return f"has no free hinge; only hinges are supported, and its joints are {', '.join(left[:8])}"
-
-
-def _tip_body(tree: Tree, tip: str) -> int:
-    names = {joint.name: b for b, body in enumerate(tree.bodies) for joint in body.joints}
-    names |= {name: at.body for name, at in tree.sites.items()} | {body.name: b for b, body in enumerate(tree.bodies)}
-    _there("link, site or joint", tip, list(names))
-    return names[tip]
-
-
-def _there(what: str, name: str, names: list[str]) -> None:
-    """Refuse a name that is not there, with those that were probably meant; a large robot has hundreds."""
-    if name not in names:
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.4) or names[-3:]
-        raise ValueError(f"has no {what} {name!r}; did you mean {' or '.join(map(repr, near))}?")
-
-
-def _path(tree: Tree, b: int) -> list[int]:
-    path: list[int] = []
-    while b >= 0:
-        path.append(b)
-        b = tree.bodies[b].parent
-    return path[::-1]
-
-
-def _refuse_within(tree: Tree, path: list[int], arm: list[Joint], lock: dict[str, float]) -> None:
-    """Refuse what the arm itself cannot have: springs, and between its hinges joints that are no hinges."""
-    begun, left = False, {joint.name for joint in arm}
-    for b in path:
-        body = tree.bodies[b]
-        for joint in body.joints:
-            if joint.name in left:
-                begun = True
-                left.discard(joint.name)
-                if joint.spring:
-                    raise ValueError(
-                        f"joint {joint.name!r} has a spring (stiffness), which is not modelled here; remove it, or add its "
-                        "torque to the command"
-                    )
-            elif joint.name not in lock and joint.kind != HINGE and (joint.kind != SLIDE or (begun and left)):
-                raise ValueError(
-                    f"joint {joint.name!r} is a {joint.kind} joint; only hinges are supported, so weld it: "
-                    f"lock={{{joint.name!r}: 0.0}}, or --lock {joint.name}=0"
-                )
-        if begun and body.gravcomp:
-            raise ValueError(
-                f"body {body.name!r} has gravcomp, which is not modelled here; remove it, or add its torque to the command"
-            )
 
 
 def _value(joint: Joint, joints: dict[str, Joint], lock: dict[str, float]) -> float:
@@ -350,21 +234,3 @@ def _odd(tree: Tree, link_of: list[int]) -> list[str]:
         if text:
             lines.append(f"link {body.name!r} {text}")
     return lines
-
-
-def oddity(mass: float, inertia: np.ndarray) -> str:
-    """What no body can have of a mass and an inertia about its centre, in words; empty if nothing."""
-    moments = np.linalg.eigvalsh(inertia)
-    slack = 1e-6 * max(abs(moments[2]), abs(moments[0]))  # files round to a few digits
-    if mass < 0:
-        return f"has a mass below zero, {mass:g} kg"
-    said = ", ".join(f"{m:.3g}" for m in moments)
-    if moments[0] < -slack:
-        return f"has an inertia that no body can have: principal moments {said} kg m^2, the least below zero"
-    if moments[0] + moments[1] < moments[2] - slack:
-        return (
-            f"has an inertia that no body can have: principal moments {said} kg m^2, the largest above the sum of the others"
-        )
-    if mass == 0 and moments[2] > slack:
-        return f"has an inertia and no mass: principal moments {said} kg m^2"
-    return ""

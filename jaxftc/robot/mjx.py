@@ -16,7 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.robot.model import PAYLOAD, Robot
+from jaxftc.robot.model import Robot
+from jaxftc.robot.mujoco_model import PAYLOAD
 from jaxftc.types import Array
 
 _IMPORT = threading.Lock()

@@ -12,7 +12,8 @@ import functools
 
 import numpy as np
 
-from jaxftc.robot.model import Robot, compile_robot
+from jaxftc.robot.model import Robot
+from jaxftc.robot.model_file import compile_robot
 
 D = (0.67183, 0.0, 0.15005, 0.4318, 0.0, 0.0)  # m, link offset
 A = (0.0, 0.4318, 0.0203, 0.0, 0.0, 0.0)  # m, link length

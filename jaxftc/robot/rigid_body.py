@@ -15,8 +15,9 @@ from jaxftc.compile.box import box
 from jaxftc.numerics.barrier import unstack as lanes
 from jaxftc.numerics.trigonometry import cos_sin
 from jaxftc.robot.lanes import Lane, add, dot, minus, mul, trailing_constant
+from jaxftc.robot.link import Link
 from jaxftc.robot.mass_matrix import MassMatrix
-from jaxftc.robot.model import Link, Robot
+from jaxftc.robot.model import Robot
 from jaxftc.types import Array
 
 Vector = tuple[Lane, Lane, Lane]

@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 
 from jaxftc.robot import mjcf
-from jaxftc.robot.model import Robot, mujoco_spec
+from jaxftc.robot.model import Robot
+from jaxftc.robot.mujoco_model import mujoco_spec
 from jaxftc.robot.puma560 import puma560
 from jaxftc.view import looks
 from jaxftc.view.looks import Colour, Part

@@ -67,7 +67,7 @@ def step(config, gains, state, reference, measurement):
 import jax, jax.numpy as jnp, jaxftc
 from benchmarks.arms import serial
 from jaxftc.campaigns.spec import variant
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from tuning.transform import tunable
 config = variant(jaxftc.Config(compile_robot("two", serial(2)), engine="chain"), "damper")
 gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
@@ -114,7 +114,7 @@ def step(config, gains, state, inputs):
     script = """
 import jax, jax.numpy as jnp, jaxftc
 from benchmarks.arms import serial
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
 state = jaxftc.init(config, gains, q)
@@ -140,7 +140,7 @@ def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
     script = """
 import pathlib, jax, jax.numpy as jnp, numpy as np, jaxftc
 from benchmarks.arms import serial
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.scenarios.faults import Actuator
 from jaxftc.simulation import fault_injection
 path = pathlib.Path("mine.toml")
@@ -161,7 +161,7 @@ print(Actuator(int(fault.kind[joint])).name, float(tau[joint]), float(np.sum(sta
     before = """
 import jax, numpy as np, jaxftc
 from benchmarks.arms import serial
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 print(float(np.sum(jaxftc.sample_scenarios(jax.random.key(0), 20, config=config).fault_tau.magnitude)))
 """

@@ -14,7 +14,7 @@ from jaxftc.gains import align
 from jaxftc.observer import super_twisting
 from jaxftc.observer.stage import Inputs
 from jaxftc.robot import dynamics, lanes, rigid_body
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.schemes import ekf, momentum, registry

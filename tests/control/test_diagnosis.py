@@ -56,7 +56,7 @@ _decide = jax.jit(decision.step, static_argnums=0)
 @pytest.fixture(scope="module")
 def two():
     """A two-joint arm is enough for logic."""
-    from jaxftc.robot.model import compile_robot
+    from jaxftc.robot.model_file import compile_robot
 
     inertial = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
     return jaxftc.Config(

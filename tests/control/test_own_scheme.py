@@ -18,7 +18,7 @@ import tuning
 from benchmarks.arms import serial
 from jaxftc import variants
 from jaxftc.campaigns import store
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 
 FOLDER = Path(__file__).parents[2] / "docs" / "schemes"
 START = np.array([0.3, -0.2])

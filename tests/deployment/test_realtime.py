@@ -12,7 +12,7 @@ import jaxftc
 from benchmarks.arms import serial
 from jaxftc import Verdict, realtime
 from jaxftc.realtime.reaction import Phase, Reaction
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 
 START = np.array([0.3, -0.2])
 STILL = np.zeros(2)

@@ -10,7 +10,7 @@ import small_logs
 
 from jaxftc import Config, logs
 from jaxftc.io.tables import write_parquet
-from jaxftc.robot.arm_file import Arm, Recording
+from jaxftc.robot.arm_table import Arm, Recording
 
 
 @pytest.fixture(scope="module")

@@ -218,7 +218,7 @@ for name in NAMES: importlib.import_module(name)
 jax.config.update("jax_num_cpu_devices", jax.config.values["jax_num_cpu_devices"])  # refused once a backend has started
 import jaxftc
 from benchmarks.arms import serial
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 arm, run = compile_robot("arm", serial(2)), jax.jit(jaxftc.forward_dynamics, static_argnums=0, static_argnames="engine")
 for engine in ("chain", "mjx"): run(arm, *[jax.numpy.zeros(2)] * 3, engine=engine)
 print(json.dumps({k: str(v) for k, v in jax.config.values.items() if k in before and before[k] is not v}))

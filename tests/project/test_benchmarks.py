@@ -38,7 +38,7 @@ from benchmarks.slope import slope_error
 from benchmarks.worker import environment
 from jaxftc.cli.main import main
 from jaxftc.compile.xla import FLAGS, with_flag
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.simulation.closed_loop import encoder_noise
 from tuning import Progress, Settings
 from tuning.settings import GRADIENT_COST, METHODS

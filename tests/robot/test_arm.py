@@ -16,7 +16,8 @@ import jaxftc
 from benchmarks.arms import serial
 from jaxftc.numerics.barrier import unstack
 from jaxftc.robot import dynamics, mass_matrix, rigid_body
-from jaxftc.robot.model import PAYLOAD, compile_robot
+from jaxftc.robot.model_file import compile_robot
+from jaxftc.robot.mujoco_model import PAYLOAD
 from jaxftc.robot.puma560 import TORQUE_LIMIT
 from jaxftc.scenarios.scenario import CONDITIONS
 from tests.arms import three_hinges

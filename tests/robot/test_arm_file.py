@@ -11,9 +11,9 @@ import jaxftc
 from benchmarks.arms import serial
 from jaxftc.cli.main import main
 from jaxftc.robot import dynamics
-from jaxftc.robot.arm_file import Recording
-from jaxftc.robot.chain import Link
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.arm_table import Recording
+from jaxftc.robot.link import Link
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.robot.rigid_body import pose
 from tests.robot.test_robot_files import HAND, TWO, urdf, written
 

@@ -17,7 +17,8 @@ import tomli_w
 
 import jaxftc
 from jaxftc.robot import dynamics
-from jaxftc.robot.model import PAYLOAD, compile_robot
+from jaxftc.robot.model_file import compile_robot
+from jaxftc.robot.mujoco_model import PAYLOAD
 from jaxftc.scenarios.scenario import stack, trail
 
 # Arbitrary axes, an anchor off its body's origin, a turned base that is welded to the world, gravity that is not along z,

@@ -11,9 +11,10 @@ import pytest
 
 import jaxftc
 from jaxftc.cli.main import main
-from jaxftc.robot.chain import oddity
+from jaxftc.robot.arm_file import read_robot
 from jaxftc.robot.doubts import doubts
-from jaxftc.robot.model import mass_matrices, read_robot
+from jaxftc.robot.link import oddity
+from jaxftc.robot.numbers import mass_matrices
 from jaxftc.scenarios.scenario import paper_motion
 
 INERTIAL = '<inertial><origin xyz="0.1 0.02 0" rpy="0.3 -0.2 0.5"/><mass value="{m}"/>{i}</inertial>'

@@ -7,7 +7,7 @@ import pytest
 
 import jaxftc
 from jaxftc import faults
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 
 DT = 0.01
 TIMES = DT * np.arange(100)

@@ -12,7 +12,7 @@ from scipy import stats
 
 import jaxftc
 from jaxftc.evaluation import metrics
-from jaxftc.robot.model import compile_robot
+from jaxftc.robot.model_file import compile_robot
 from jaxftc.scenarios.distributions import Choice, Normal, Uniform, quantile
 from jaxftc.scenarios.faults import (
     Actuator,
