@@ -42,7 +42,7 @@ class Tune(common.Options):
     seed: int = 0
     """Seed of the scenarios, their noise and the search."""
     preset: str = "standard"
-    """Laws that the training scenarios are drawn from: standard, hard, doubles, paper, or your own TOML file."""
+    """Laws that the training scenarios are drawn from: standard, hard, doubles, uncommon, paper, or your own TOML file."""
     scheme: str = "cascade"
     """What diagnoses and controls: cascade, momentum, ekf, computed_torque, or your own, module:object."""
     observer: Literal["pi", "eso", "ts"] = "ts"

@@ -22,7 +22,7 @@ class Laws(common.Options):
     """Options of the commands that draw scenarios from a preset."""
 
     preset: str = "standard"
-    """Laws of the scenarios: standard, hard, doubles, paper, or your own TOML file."""
+    """Laws of the scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
     engine: Literal["mjx", "chain"] = "chain"
     """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
     coulomb: bool = True

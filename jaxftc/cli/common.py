@@ -78,6 +78,16 @@ def say(options: Output, text: str = "") -> None:
     print(text, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
+def _import_mujoco() -> None:
+    """Without its search for a window system: that is a process of its own, which goes on when this one is stopped."""
+    known = "MUJOCO_GL" in os.environ
+    os.environ.setdefault("MUJOCO_GL", "disable")
+    import mujoco  # noqa: F401
+
+    if not known:
+        del os.environ["MUJOCO_GL"]
+
+
 def prepare(options: Output, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
     """Settings that a command may make of its process: XLA's flags and log, the compilation cache, the garbage collector.
 
@@ -88,6 +98,7 @@ def prepare(options: Output, *, many: bool = False, devices: bool = False, engin
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     gc.set_threshold(*MANY_OBJECTS)
+    _import_mujoco()
     import jax
 
     if devices:

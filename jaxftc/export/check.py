@@ -26,12 +26,21 @@ SIZES: dict[str, tuple[float, float]] = {  # of a fault, in its unit; of a torqu
     "actuator loss": (0.3, 0.9),
     "actuator stuck": (0.0, 0.0),
     "actuator saturation": (0.02, 0.2),
+    "actuator gain": (-0.5, 0.5),
+    "actuator ripple": (0.02, 0.1),
+    "actuator friction": (0.02, 0.1),
+    "actuator locked": (0.0, 0.0),
+    "actuator delay": (1.0, 5.0),
     "sensor bias": (0.003, 0.1),
     "sensor drift": (0.1, 1.0),
     "sensor scale": (0.02, 0.1),
     "sensor freeze": (0.0, 0.0),
     "sensor noise": (20.0, 100.0),
     "sensor dropout": (0.0, 0.0),
+    "sensor rounding": (0.001, 0.02),
+    "sensor wrap": (0.5, 3.0),
+    "sensor delay": (1.0, 5.0),
+    "sensor crosstalk": (0.02, 0.2),
 }
 KINDS = ("healthy", *SIZES, "both")
 CHANNELS = {"actuator": ("fault_tau", Actuator), "sensor": ("fault_q", Sensor)}

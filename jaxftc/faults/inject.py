@@ -21,6 +21,8 @@ from jaxftc.simulation import fault_injection
 from jaxftc.simulation.fault_injection import State
 from jaxftc.types import Array
 
+UNSEEN = fault_injection.Motion(0.0, 0.0, 1.0, 1.0)  # kinds that need to know how the arm moves are not offered here
+
 
 class Faults(NamedTuple):
     """Faults of one run or of many; ``with_...`` adds one (``jaxftc.scenarios.builders``), joints being entries, from 1.
@@ -42,12 +44,17 @@ class Faults(NamedTuple):
     with_actuator_loss = builders.with_actuator_loss
     with_actuator_saturation = builders.with_actuator_saturation
     with_stuck_actuator = builders.with_stuck_actuator
+    with_actuator_gain = builders.with_actuator_gain
+    with_actuator_delay = builders.with_actuator_delay
     with_encoder_bias = builders.with_encoder_bias
     with_encoder_drift = builders.with_encoder_drift
     with_encoder_scale = builders.with_encoder_scale
     with_encoder_noise = builders.with_encoder_noise
     with_frozen_encoder = builders.with_frozen_encoder
     with_encoder_dropout = builders.with_encoder_dropout
+    with_encoder_rounding = builders.with_encoder_rounding
+    with_encoder_wrap = builders.with_encoder_wrap
+    with_encoder_delay = builders.with_encoder_delay
 
 
 def healthy(commands: int, readings: int | None = None, *, runs: int | None = None) -> Faults:
@@ -71,7 +78,8 @@ def healthy(commands: int, readings: int | None = None, *, runs: int | None = No
 
 def init(command: ArrayLike, reading: ArrayLike) -> State:
     """State of a run that begins with a command [..., n] and a reading [..., m]: what a stuck motor or encoder keeps."""
-    return State(jnp.asarray(command), jnp.asarray(reading))
+    command = jnp.asarray(command)
+    return fault_injection.init(command, jnp.asarray(reading), jnp.zeros_like(command))
 
 
 def deliver(
@@ -91,7 +99,7 @@ def deliver(
     """
     command = jnp.asarray(command)
     limits = jnp.broadcast_to(jnp.asarray(limit, command.dtype), command.shape)
-    return fault_injection.deliver(faults.fault_tau, state, _time(t), command, limits)
+    return fault_injection.deliver(faults.fault_tau, state, _time(t), command, limits, UNSEEN)
 
 
 def read(
@@ -138,8 +146,8 @@ class Injector:
         checks.instance("faults", faults, Faults)
         self.faults, self.limit = faults, limit
         self.command_error, self.reading_error = (np.zeros(np.shape(fault.onset)) for fault in faults)
-        self._tau: np.ndarray | None = None
-        self._y: np.ndarray | None = None
+        self._commanded: State | None = None  # what faults of commands remember
+        self._read: State | None = None  # and of readings
 
     def command(self, t: ArrayLike, command: ArrayLike) -> np.ndarray:
         """What reaches the simulator of a command [..., n] at t s.
@@ -148,10 +156,10 @@ class Injector:
             ValueError: the command has not the shape of the faults.
         """
         own = self._whole("command", command, self.command_error)
-        state = State(own if self._tau is None else self._tau, self.reading_error)  # pyright: ignore[reportArgumentType]
         with jax.enable_x64(True):
-            after, delivered = _deliver(self.faults, state, t, own, self.limit)
-        self._tau, found = np.asarray(after.tau), np.asarray(delivered)
+            state = self._commanded or init(own, own)
+            self._commanded, delivered = _deliver(self.faults, state, t, own, self.limit)
+        found = np.asarray(delivered)
         self.command_error = found - own
         return found
 
@@ -162,10 +170,9 @@ class Injector:
             ValueError: the reading has not the shape of the faults.
         """
         own = self._whole("reading", reading, self.reading_error)
-        state = State(self.command_error, own if self._y is None else self._y)  # pyright: ignore[reportArgumentType]
         with jax.enable_x64(True):
-            after, found, error = _read(self.faults, state, t, own, noise)
-        self._y, self.reading_error = np.asarray(after.y), np.asarray(error)
+            self._read, found, error = _read(self.faults, self._read or init(own, own), t, own, noise)
+        self.reading_error = np.asarray(error)
         return np.asarray(found)
 
     def _whole(self, name: str, value: ArrayLike, like: np.ndarray) -> np.ndarray:

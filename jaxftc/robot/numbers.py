@@ -61,6 +61,11 @@ class Numbers:
         """Viscous friction [n] N m s/rad, the mean of both directions."""
         return 0.5 * (self.damping_positive + self.damping_negative)
 
+    @functools.cached_property
+    def inertia_diagonal(self) -> np.ndarray:
+        """What each joint moves with the others held, motor included [n] kg m^2: the mean over the joints' ranges."""
+        return np.diagonal(_inertia_matrices(self), axis1=1, axis2=2).mean(0)
+
     @property
     def frictionless(self) -> bool:
         """Whether no joint has any friction or motor inertia."""
@@ -99,11 +104,7 @@ def _checked(name: str, values: Any, joints: tuple[str, ...]) -> np.ndarray:
 
 def _refuse_singular(given: Numbers, tensors: tuple[str, ...]) -> None:
     """Refuse an arm whose inertia matrix is not positive definite, and name the links that no body can be."""
-    low, high = (
-        np.where(np.isfinite(getattr(given, k)), getattr(given, k), s * np.pi) for k, s in (("q_low", -1), ("q_high", 1))
-    )
-    q = np.random.default_rng(0).uniform(np.minimum(low, high), np.maximum(low, high), (64, len(low)))
-    matrices = mass_matrices(given.links, q - given.q_zero) + np.diag(given.armature)
+    matrices = _inertia_matrices(given)
     diagonal = np.diagonal(matrices, axis1=1, axis2=2)
     names, joints = given.link_names, given.joint_names
     empty = [repr(names[j]) for j, link in enumerate(given.links) if not link.mass and not link.inertia.any()]
@@ -121,6 +122,15 @@ def _refuse_singular(given: Numbers, tensors: tuple[str, ...]) -> None:
             f"the inertia matrix M(q) has the eigenvalue {least:.3g} of its diagonal's size, which must be above zero"
         )
         raise ValueError(f"{'; '.join(blame)}; check the masses and inertias")
+
+
+def _inertia_matrices(given: Numbers) -> np.ndarray:
+    """M(q) [64, n, n] of links and motors, at angles drawn from the joints' ranges."""
+    low, high = (
+        np.where(np.isfinite(getattr(given, k)), getattr(given, k), s * np.pi) for k, s in (("q_low", -1), ("q_high", 1))
+    )
+    q = np.random.default_rng(0).uniform(np.minimum(low, high), np.maximum(low, high), (64, len(low)))
+    return mass_matrices(given.links, q - given.q_zero) + np.diag(given.armature)
 
 
 def mass_matrices(links: tuple[Link, ...], q: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxftc import checks
-from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Sensor
 from jaxftc.types import Array
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -83,6 +83,57 @@ def with_stuck_actuator(scenario: S, joint: int, onset: ArrayLike, **law: Unpack
     return _with(scenario, "fault_tau", Actuator.STUCK, joint, 0.0, onset, law)
 
 
+@_explained("share: Added share of the command, 1; negative for a motor that gives less.")
+def with_actuator_gain(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The motor gives more or less than it is told."""
+    return _with(scenario, "fault_tau", Actuator.GAIN, joint, share, onset, law)
+
+
+@_explained("ticks: How late, the nearest whole number from 0 to 5.")
+def with_actuator_delay(scenario: S, joint: int, ticks: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The command reaches the motor late."""
+    return _with(scenario, "fault_tau", Actuator.DELAY, joint, _ticks(ticks), onset, law)
+
+
+@_explained("torque: Amplitude, N m; 60 periods in a turn of the joint.")
+def with_torque_ripple(scenario: S, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """A torque that goes up and down with the joint's angle."""
+    return _with(scenario, "fault_tau", Actuator.RIPPLE, joint, torque, onset, law)
+
+
+@_explained("torque: Dry friction that is added, N m; with ``rise`` it grows.")
+def with_joint_friction(scenario: S, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The joint moves harder."""
+    _require("torque", torque, 0.0, math.inf)
+    return _with(scenario, "fault_tau", Actuator.FRICTION, joint, torque, onset, law)
+
+
+@_explained()
+def with_locked_joint(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The joint stays where it was at onset, as in a brake that has fallen in."""
+    return _with(scenario, "fault_tau", Actuator.LOCKED, joint, 0.0, onset, law)
+
+
+def with_brown_out(scenario: S, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The supply fails: of every torque limit only a share is left.
+
+    Args:
+        scenario: One scenario, or a set with a leading axis.
+        share: Share of the limits that is left, 0 to 1.
+        onset: When it comes, s.
+        **law: ``clear`` s, ``rise`` s, ``period`` s and ``duty``, as in ``Law``.
+
+    Returns:
+        The scenario with a saturation of every joint.
+
+    Raises:
+        ValueError: a number that is not finite or not allowed, or scenarios on trailing axes.
+    """
+    for joint in range(np.shape(scenario.fault_tau.onset)[-1]):  # pyright: ignore[reportAttributeAccessIssue]
+        scenario = with_actuator_saturation(scenario, joint + 1, share, onset, **law)
+    return scenario
+
+
 @_explained("angle: Added angle, rad.")
 def with_encoder_bias(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """An angle added to the reading."""
@@ -118,6 +169,32 @@ def with_frozen_encoder(scenario: S, joint: int, onset: ArrayLike, **law: Unpack
 def with_encoder_dropout(scenario: S, joint: int, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """There is no reading."""
     return _with(scenario, "fault_q", Sensor.DROPOUT, joint, 0.0, onset, law)
+
+
+@_explained("angle: Size of a count, rad.")
+def with_encoder_rounding(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The reading comes in coarse counts."""
+    _require("angle", angle, 0.0, math.inf)
+    return _with(scenario, "fault_q", Sensor.ROUNDING, joint, angle, onset, law)
+
+
+@_explained("angle: Largest reading, rad; beyond it the reading begins anew at its negative.")
+def with_encoder_wrap(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The reading wraps around."""
+    _require("angle", angle, 0.0, math.inf, "be positive", above=True)
+    return _with(scenario, "fault_q", Sensor.WRAP, joint, angle, onset, law)
+
+
+@_explained("ticks: How late, the nearest whole number from 0 to 5.")
+def with_encoder_delay(scenario: S, joint: int, ticks: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """The reading comes late."""
+    return _with(scenario, "fault_q", Sensor.DELAY, joint, _ticks(ticks), onset, law)
+
+
+@_explained("share: Added share of the next joint's angle, 1; the first is the last one's next.")
+def with_encoder_crosstalk(scenario: S, joint: int, share: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
+    """A share of another joint's angle is added to the reading."""
+    return _with(scenario, "fault_q", Sensor.CROSSTALK, joint, share, onset, law)
 
 
 def _with(
@@ -159,6 +236,11 @@ def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[i
         raise ValueError(f"{name} must be a number or have shape {list(axes)}, got {list(np.shape(value))}")
     leaf = jnp.asarray(leaf)
     return leaf.at[..., joint - 1].set(jnp.asarray(value, leaf.dtype))
+
+
+def _ticks(value: ArrayLike) -> ArrayLike:
+    _require("ticks", value, 0.0, LATEST)
+    return value
 
 
 def _share(value: ArrayLike) -> ArrayLike:

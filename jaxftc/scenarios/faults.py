@@ -14,7 +14,9 @@ from enum import IntEnum
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
+from jax import lax
 
+from jaxftc.numerics.trigonometry import cos_sin
 from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
 from jaxftc.scenarios.preset_error import one_of
 from jaxftc.types import Array
@@ -48,6 +50,12 @@ def no_fault(n: int) -> Fault:
     return Fault(jnp.zeros(n, jnp.int32), zero, zero, always * jnp.inf, zero, always * jnp.inf, always)
 
 
+LATEST = 5  # ticks that a signal can be late
+RIPPLES = 60  # of a motor's torque, in one turn of its joint
+FRICTION_SPEED = 0.1  # rad/s, width of a fault's friction
+LOCK = 50.0  # rad/s, natural frequency of a joint in its brake
+
+
 # What a kind does to its signal.
 
 
@@ -60,6 +68,12 @@ class Torque(NamedTuple):
     magnitude: Array  # [n, ...] in the kind's unit, grown to the full
     held: Array  # [n, ...] N m, torque at onset
     limit: Array  # [n, ...] N m, infinite if there is none
+    late: Array  # [n, ...] N m, command of ``size`` ticks ago
+    q: Array  # [n, ...] rad, true angle
+    qd: Array  # [n, ...] rad/s
+    q_held: Array  # [n, ...] rad, angle at onset
+    inertia: Array  # [n, ...] kg m^2, that a joint moves
+    dt: float  # s, time between ticks
 
 
 class Reading(NamedTuple):
@@ -72,11 +86,41 @@ class Reading(NamedTuple):
     magnitude: Array  # [n, ...] in the kind's unit, grown to the full
     since: Array  # [n, ...] s, time from onset on
     held: Array  # [n, ...] rad, reading at onset
+    late: Array  # [n, ...] rad, reading of ``size`` ticks ago
 
     @property
     def clean(self) -> Array:
         """Reading [n, ...] rad without a fault."""
         return self.q + self.noise
+
+
+def _ripple(x: Torque) -> Array:
+    return x.tau + x.size * cos_sin(RIPPLES * x.q)[1]
+
+
+def _rubbed(x: Torque) -> Array:
+    """Less a friction; where one tick of it would turn the speed round it is softer, as only a stop is possible."""
+    width = jnp.maximum(FRICTION_SPEED, x.size * x.dt / x.inertia)
+    return x.tau - x.size * jnp.tanh(x.qd / width)
+
+
+def _locked(x: Torque) -> Array:
+    """A brake in place of the motor: a stiff spring to the angle at onset, critically damped for the joint's inertia."""
+    frequency = min(LOCK, 0.2 / x.dt)  # slow enough for the tick
+    brake = x.inertia * frequency * (frequency * (x.q_held - x.q) - 2 * x.qd)
+    return x.tau + x.share * (brake - x.tau)
+
+
+def _wrapped(x: Reading) -> Array:
+    half = jnp.where(x.magnitude > 0, x.magnitude, 1.0)
+    return x.clean - 2 * half * jnp.round(x.clean / (2 * half))
+
+
+def _rounded(x: Reading) -> Array:
+    """In whole counts; the slope is that of the clean reading."""
+    count = jnp.where(x.size > 0, x.size, 1.0)
+    error = jnp.where(x.size > 0, count * jnp.round(x.clean / count) - x.clean, 0.0)
+    return x.clean + lax.stop_gradient(error)
 
 
 def _saturated(x: Torque) -> Array:
@@ -106,6 +150,11 @@ class Actuator(Kind):
     LOSS = 2, "1", lambda x: x.tau * (1 - x.size)  # lost share of the command
     STUCK = 3, "", lambda x: x.held  # the torque stays what it was at onset
     SATURATION = 4, "1", _saturated  # share of the torque limit that is left
+    GAIN = 5, "1", lambda x: x.tau * (1 + x.size)  # share of the command added
+    RIPPLE = 6, "N m", _ripple  # amplitude, with the joint's angle
+    FRICTION = 7, "N m", _rubbed  # dry friction added
+    LOCKED = 8, "", _locked  # the joint stays where it was at onset
+    DELAY = 9, "ticks", lambda x: x.late  # the command comes late
 
 
 class Sensor(Kind):
@@ -118,11 +167,18 @@ class Sensor(Kind):
     FREEZE = 4, "", lambda x: x.held  # the reading stays what it was at onset
     NOISE = 5, "1", lambda x: x.q + x.noise * (1 + x.share * (x.magnitude - 1))  # factor on the encoder's noise
     DROPOUT = 6, "", lambda x: jnp.full_like(x.q, jnp.nan)  # no reading
+    ROUNDING = 7, "rad", _rounded  # size of a count
+    WRAP = 8, "rad", _wrapped  # the reading stays within plus and minus that angle, and begins anew beyond
+    DELAY = 9, "ticks", lambda x: x.late  # the reading comes late
+    CROSSTALK = 10, "1", lambda x: x.clean + x.size * jnp.roll(x.q, -1, axis=0)  # share of the next joint's angle added
 
 
 # The law of its size in a preset.
 
-UNITS = {"1": 1.0, "limit": 1.0, "N m": 1.0, "rad": 1.0, "rad/s": 1.0, "deg": math.radians(1.0), "deg/s": math.radians(1.0)}
+UNITS = {
+    **dict.fromkeys(("1", "limit", "N m", "rad", "rad/s", "ticks"), 1.0),
+    **dict.fromkeys(("deg", "deg/s"), math.radians(1.0)),
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -160,7 +216,7 @@ class Share(Sized):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Signed(Sized):
-    """A size that can be negative: a share of the angle, added."""
+    """A size that can be negative: a share of an angle or of the command, added."""
 
     sign: str = "as_drawn"  # or random: half of the sizes get the other sign
     least: ClassVar[float] = -math.inf
@@ -176,6 +232,31 @@ class TorqueBias(Signed):
 
     unit: str = "limit"
     units: ClassVar[tuple[str, ...]] = ("limit", "N m")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class TorqueSize(Sized):
+    """Torque without a sign: a share of the joint's limit, or N m."""
+
+    unit: str = "limit"
+    units: ClassVar[tuple[str, ...]] = ("limit", "N m")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AngleSize(Sized):
+    """Angle without a sign."""
+
+    unit: str = "deg"
+    units: ClassVar[tuple[str, ...]] = ("deg", "rad")
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Ticks(Sized):
+    """Ticks that a signal is late, the nearest whole number of them."""
+
+    unit: str = "ticks"
+    units: ClassVar[tuple[str, ...]] = ("ticks",)
+    most: ClassVar[float] = LATEST
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -202,6 +283,11 @@ class ActuatorFaults(Table):
     loss: Share | None = None
     stuck: Unsized | None = None
     saturation: Share | None = None
+    gain: Signed | None = None
+    ripple: TorqueSize | None = None
+    friction: TorqueSize | None = None
+    locked: Unsized | None = None
+    delay: Ticks | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,6 +300,10 @@ class SensorFaults(Table):
     scale: Signed | None = None
     noise: Sized | None = None
     dropout: Unsized | None = None
+    rounding: AngleSize | None = None
+    wrap: AngleSize | None = None
+    delay: Ticks | None = None
+    crosstalk: Signed | None = None
 
 
 def kinds(channel: ActuatorFaults | SensorFaults) -> dict[str, Unsized]:

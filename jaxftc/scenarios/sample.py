@@ -27,7 +27,7 @@ from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.reference import within_range
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
-from jaxftc.scenarios.uniforms import UniformStream
+from jaxftc.scenarios.uniforms import DEALT, UniformStream
 from jaxftc.types import Array
 
 DEG = math.radians(1.0)  # rad
@@ -146,13 +146,13 @@ def _bounds(preset: Preset) -> Array:
 
 
 def _channel(faults: ActuatorFaults | SensorFaults, codes: type[Kind], stream: UniformStream, limit: np.ndarray) -> Array:
-    """(kind, magnitude [n]) of a channel's fault as one array [1 + n]: every size is drawn, the kind's own is taken."""
+    """(kind, magnitude [n]) of a channel's fault as one array [1 + n]: all sizes are drawn, the kind's own is taken."""
     kind, side = stream.kind(kinds(faults), codes), stream.side()
     sizes = {code: jnp.zeros(len(limit)) for code in codes}
     for field in dataclasses.fields(faults):  # in the order of draws
-        code = codes[field.name.upper()]
-        if code.unit:
-            sizes[code] = _size(getattr(faults, field.name), side, stream.of_kind(code), limit)
+        code, law = codes[field.name.upper()], getattr(faults, field.name)
+        if code.unit and (law is not None or code <= DEALT[codes]):
+            sizes[code] = _size(law, side, stream.of_kind(code), limit)
     return jnp.concatenate([kind[None].astype(float), jnp.select([kind == code for code in sizes], [*sizes.values()])])
 
 

@@ -54,12 +54,22 @@ class Scenario(NamedTuple):
     with_actuator_loss = builders.with_actuator_loss
     with_actuator_saturation = builders.with_actuator_saturation
     with_stuck_actuator = builders.with_stuck_actuator
+    with_actuator_gain = builders.with_actuator_gain
+    with_actuator_delay = builders.with_actuator_delay
+    with_torque_ripple = builders.with_torque_ripple
+    with_joint_friction = builders.with_joint_friction
+    with_locked_joint = builders.with_locked_joint
+    with_brown_out = builders.with_brown_out
     with_encoder_bias = builders.with_encoder_bias
     with_encoder_drift = builders.with_encoder_drift
     with_encoder_scale = builders.with_encoder_scale
     with_encoder_noise = builders.with_encoder_noise
     with_frozen_encoder = builders.with_frozen_encoder
     with_encoder_dropout = builders.with_encoder_dropout
+    with_encoder_rounding = builders.with_encoder_rounding
+    with_encoder_wrap = builders.with_encoder_wrap
+    with_encoder_delay = builders.with_encoder_delay
+    with_encoder_crosstalk = builders.with_encoder_crosstalk
 
 
 def healthy_scenario(

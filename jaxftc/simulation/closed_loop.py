@@ -141,7 +141,7 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
     dtype = gains.arx.xi_a.dtype
     q = jnp.asarray(scenario.q_start, dtype)
     tau = registry.holding_torque(config, q)
-    return Loop(q, jnp.zeros_like(q), tau, fault_injection.State(tau, q), registry.init(config, gains, q))
+    return Loop(q, jnp.zeros_like(q), tau, fault_injection.init(tau, q, q), registry.init(config, gains, q))
 
 
 def advance(
@@ -161,7 +161,9 @@ def advance(
     state, out = registry.tick(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
     limit = lanes.trailing_constant(robot.torque_limit, loop.q)
     constant = trailing(scenario.plant.torque_constant, 1, axes)
-    fault, delivered = fault_injection.deliver(fault_tau, fault, t, out.tau, limit)
+    inertia = lanes.trailing_constant(robot.inertia_diagonal, loop.q)
+    motion = fault_injection.Motion(loop.q, loop.qd, inertia, config.dt)
+    fault, delivered = fault_injection.deliver(fault_tau, fault, t, out.tau, limit, motion)
     q, qd = dynamics.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, constant * delivered, config.dt)
     trace = Trace(
         t=t,

@@ -133,8 +133,8 @@ def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
     faults = copy / "scenarios" / "faults.py"
     insert(
         faults,
-        '    SATURATION = 4, "1", _saturated  # share of the torque limit that is left',
-        '    REVERSED = 5, "1", lambda x: -x.size * x.tau',
+        '    DELAY = 9, "ticks", lambda x: x.late  # the command comes late',
+        '    REVERSED = 10, "1", lambda x: -x.size * x.tau',
     )
     insert(faults, "    saturation: Share | None = None", "    reversed: Share | None = None")
     script = """
@@ -150,8 +150,9 @@ config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 some = jaxftc.sample_scenarios(jax.random.key(0), 3, path, config=config)
 fault = jax.tree.map(lambda leaf: leaf[0], some.fault_tau)._replace(rise=0.0, clear=jnp.inf, period=jnp.inf)
 joint = int(np.flatnonzero(fault.kind)[0])
-state = fault_injection.State(jnp.zeros(2), jnp.zeros(2))
-tau = fault_injection.deliver(fault, state, jnp.asarray(0.999), jnp.full(2, 3.0), jnp.full(2, 9.0))[1]
+zero = jnp.zeros(2)
+state, still = fault_injection.init(zero, zero, zero), fault_injection.Motion(zero, zero, zero + 1.0, config.dt)
+tau = fault_injection.deliver(fault, state, jnp.asarray(0.999), jnp.full(2, 3.0), jnp.full(2, 9.0), still)[1]
 standard = jaxftc.sample_scenarios(jax.random.key(0), 20, config=config)
 print(Actuator(int(fault.kind[joint])).name, float(tau[joint]), float(np.sum(standard.fault_tau.magnitude)))
 """

@@ -18,7 +18,17 @@ N, KEY = three_hinges().n, 11
 ONSET = 30  # tick
 
 # A size for every kind of fault, in its own unit.
-TORQUES = {Actuator.BIAS: 5.0, Actuator.LOSS: 0.5, Actuator.STUCK: 0.0, Actuator.SATURATION: 0.05}
+TORQUES = {
+    Actuator.BIAS: 5.0,
+    Actuator.LOSS: 0.5,
+    Actuator.STUCK: 0.0,
+    Actuator.SATURATION: 0.05,
+    Actuator.GAIN: -0.3,
+    Actuator.RIPPLE: 5.0,
+    Actuator.FRICTION: 5.0,
+    Actuator.LOCKED: 0.0,
+    Actuator.DELAY: 4.0,
+}
 ANGLES = {
     Sensor.BIAS: 0.03,
     Sensor.DRIFT: 1.0,
@@ -26,6 +36,10 @@ ANGLES = {
     Sensor.FREEZE: 0.0,
     Sensor.NOISE: 50.0,
     Sensor.DROPOUT: 0.0,
+    Sensor.ROUNDING: 0.01,
+    Sensor.WRAP: 0.001,
+    Sensor.DELAY: 4.0,
+    Sensor.CROSSTALK: 0.1,
 }
 FAULTS = [("fault_tau", kind, size) for kind, size in TORQUES.items()] + [("fault_q", k, size) for k, size in ANGLES.items()]
 

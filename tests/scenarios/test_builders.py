@@ -17,13 +17,22 @@ SIZED = {  # kind, argument, a size
     "with_actuator_bias": (Actuator.BIAS, "torque", -5.0),
     "with_actuator_loss": (Actuator.LOSS, "share", 0.4),
     "with_actuator_saturation": (Actuator.SATURATION, "share", 0.3),
+    "with_actuator_gain": (Actuator.GAIN, "share", -0.2),
+    "with_actuator_delay": (Actuator.DELAY, "ticks", 3.0),
+    "with_torque_ripple": (Actuator.RIPPLE, "torque", 2.0),
+    "with_joint_friction": (Actuator.FRICTION, "torque", 4.0),
     "with_encoder_bias": (Sensor.BIAS, "angle", 0.02),
     "with_encoder_drift": (Sensor.DRIFT, "rate", -0.1),
     "with_encoder_scale": (Sensor.SCALE, "share", -0.05),
     "with_encoder_noise": (Sensor.NOISE, "factor", 30.0),
+    "with_encoder_rounding": (Sensor.ROUNDING, "angle", 0.01),
+    "with_encoder_wrap": (Sensor.WRAP, "angle", 3.0),
+    "with_encoder_delay": (Sensor.DELAY, "ticks", 2.0),
+    "with_encoder_crosstalk": (Sensor.CROSSTALK, "share", 0.1),
 }
 UNSIZED = {
     "with_stuck_actuator": Actuator.STUCK,
+    "with_locked_joint": Actuator.LOCKED,
     "with_frozen_encoder": Sensor.FREEZE,
     "with_encoder_dropout": Sensor.DROPOUT,
 }
@@ -48,7 +57,9 @@ def test_every_kind_of_fault_has_a_method():
     for enum in (Actuator, Sensor):
         assert {kind for kind in kinds if type(kind) is enum} == set(enum) - {enum.NONE}
     public = {name for name in dir(builders) if name.startswith("with_")}
-    assert public == {*SIZED, *UNSIZED} == {name for name in dir(jaxftc.Scenario) if name.startswith("with_")}
+    assert (
+        public == {*SIZED, *UNSIZED, "with_brown_out"} == {name for name in dir(jaxftc.Scenario) if name.startswith("with_")}
+    )
 
 
 @pytest.mark.parametrize("name", [*SIZED, *UNSIZED])
@@ -64,6 +75,13 @@ def test_a_method_sets_one_joint_of_one_channel(healthy, name):
     chex.assert_trees_all_equal_shapes_and_dtypes(faulty, healthy)
     chex.assert_trees_all_equal(faulty._replace(**{channel: getattr(healthy, channel)}), healthy)
     assert getattr(faulty, other) is getattr(healthy, other)
+
+
+def test_a_brown_out_is_a_saturation_of_every_joint(healthy):
+    faulty = healthy
+    for joint in range(1, 7):
+        faulty = faulty.with_actuator_saturation(joint, 0.3, 0.2, clear=0.4)
+    chex.assert_trees_all_equal(healthy.with_brown_out(0.3, 0.2, clear=0.4), faulty)
 
 
 def test_the_papers_conditions_are_built_from_a_healthy_motion(config):
@@ -114,6 +132,11 @@ def test_sizes_may_be_traced(healthy):
         (lambda s: s.with_encoder_drift(1, 0.1, 0.2, clear=math.nan), "clear must be later than the onset, got nan"),
         (lambda s: s.with_actuator_loss(1, 1.5, 0.2), r"share must lie in \[0, 1\], got 1.5"),
         (lambda s: s.with_actuator_saturation(1, -0.5, 0.2), r"share must lie in \[0, 1\], got -0.5"),
+        (lambda s: s.with_encoder_delay(1, 6, 0.2), r"ticks must lie in \[0, 5\], got 6"),
+        (lambda s: s.with_actuator_delay(1, -1, 0.2), r"ticks must lie in \[0, 5\], got -1"),
+        (lambda s: s.with_joint_friction(1, -1.0, 0.2), "torque must not be less than 0, got -1.0"),
+        (lambda s: s.with_encoder_rounding(1, -0.1, 0.2), "angle must not be less than 0, got -0.1"),
+        (lambda s: s.with_encoder_wrap(1, 0.0, 0.2), "angle must be positive, got 0.0"),
         (lambda s: s.with_encoder_noise(1, -1.0, 0.2), "factor must not be less than 0, got -1.0"),
         (lambda s: s.with_frozen_encoder(1, 0.2, duty=2.0), r"duty must lie in \[0, 1\], got 2.0"),
         (lambda s: s.with_frozen_encoder(1, 0.2, period=0.0), "period must be positive, got 0.0"),

@@ -26,14 +26,19 @@ def fault(kind, magnitude, onset=0.1, clear=0.3, rise=0.0, period=jnp.inf, duty=
     )
 
 
+MOTION = fault_injection.Motion(jnp.array([0.01, 0.03]), jnp.array([0.1, -0.2]), jnp.array([2.0, 3.0]), 1e-3)
+
+
+def start(tau=0.0, y=0.0):
+    return fault_injection.init(jnp.full(2, float(tau)), jnp.full(2, float(y)), jnp.zeros(2))
+
+
 def deliver(law, tau, t, last=3.0):
-    state = fault_injection.State(jnp.full(2, last), jnp.zeros(2))
-    return np.asarray(fault_injection.deliver(law, state, jnp.asarray(t), jnp.full(2, float(tau)), LIMIT)[1])
+    return np.asarray(fault_injection.deliver(law, start(last), jnp.asarray(t), jnp.full(2, float(tau)), LIMIT, MOTION)[1])
 
 
 def read(law, q, t, noise=0.0, last=0.7):
-    state = fault_injection.State(jnp.zeros(2), jnp.full(2, last))
-    _, y, truth = fault_injection.read(law, state, jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
+    _, y, truth = fault_injection.read(law, start(y=last), jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
     return np.asarray(y), np.asarray(truth)
 
 
@@ -45,6 +50,11 @@ def read(law, q, t, noise=0.0, last=0.7):
         (Actuator.LOSS, 0.25, 8.0, [6.0, 6.0]),
         (Actuator.STUCK, 0.0, 8.0, [3.0, 3.0]),
         (Actuator.SATURATION, 0.5, 8.0, [5.0, 8.0]),  # a joint without a limit has none to lose
+        (Actuator.GAIN, -0.25, 8.0, [6.0, 6.0]),
+        (Actuator.RIPPLE, 2.0, 8.0, 8.0 + 2.0 * np.sin([0.6, 1.8])),
+        (Actuator.FRICTION, 2.0, 8.0, 8.0 - 2.0 * np.tanh([1.0, -2.0])),
+        (Actuator.LOCKED, 0.0, 8.0, [-2.0 * 50 * (0.5 + 0.2), -3.0 * 50 * (1.5 - 0.4)]),
+        (Actuator.DELAY, 1.0, 8.0, [3.0, 3.0]),
     ],
 )
 def test_actuator_kinds(kind, magnitude, tau, want):
@@ -63,6 +73,10 @@ def test_actuator_kinds(kind, magnitude, tau, want):
         (Sensor.SCALE, 0.1, 0.51 + 0.05),
         (Sensor.FREEZE, 0.0, 0.7),
         (Sensor.NOISE, 30.0, 0.5 + 0.3),
+        (Sensor.ROUNDING, 0.2, 0.6),
+        (Sensor.WRAP, 0.4, 0.51 - 0.8),
+        (Sensor.DELAY, 1.0, 0.7),
+        (Sensor.CROSSTALK, 0.1, 0.51 + 0.05),
     ],
 )
 def test_sensor_kinds(kind, magnitude, want):
@@ -80,9 +94,9 @@ def test_dropout_is_no_reading_and_no_false_truth():
 
 
 def test_stuck_and_frozen_keep_what_was_there_at_onset():
-    law, state = fault(Actuator.STUCK, 0.0), fault_injection.State(jnp.zeros(2), jnp.zeros(2))
+    law, state = fault(Actuator.STUCK, 0.0), start()
     for k in range(30):
-        state, tau = fault_injection.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT)
+        state, tau = fault_injection.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT, MOTION)
     np.testing.assert_array_equal(tau, 9.0)  # onset at 0.1 s: the tick before carried 9
 
 
@@ -104,17 +118,71 @@ def test_intermittent_fault_comes_and_goes():
 
 
 def test_magnitudes_have_gradients():
-    for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION):
+    for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION, Actuator.GAIN, Actuator.RIPPLE, Actuator.FRICTION):
         gradient = jax.grad(
             lambda m, k=kind: fault_injection.deliver(
                 fault(k, 0.5)._replace(magnitude=m),
-                fault_injection.State(jnp.ones(2), jnp.ones(2)),
+                start(1.0, 1.0),
                 jnp.asarray(0.2),
                 jnp.full(2, 8.0),
                 LIMIT,
+                MOTION,
             )[1].sum()
         )(jnp.full(2, 0.5))
         assert np.isfinite(gradient).all() and gradient[0] != 0
+
+
+@pytest.mark.parametrize("ticks", range(6))
+def test_a_late_signal_is_the_one_of_that_many_ticks_ago(ticks):
+    commands, readings = fault(Actuator.DELAY, ticks, onset=0.0), fault(Sensor.DELAY, ticks, onset=0.0)
+    state, clear = start(-1.0, -1.0), jnp.inf
+    for k in range(12):
+        now, t = jnp.full(2, float(k)), jnp.asarray(k * 0.01)
+        state, tau = fault_injection.deliver(commands._replace(clear=clear), state, t, now, LIMIT, MOTION)
+        state, y, _ = fault_injection.read(readings._replace(clear=clear), state, t, now, jnp.zeros(2))
+        wanted = k - ticks if k >= ticks else -1.0
+        np.testing.assert_array_equal((tau, y), wanted)
+
+
+@pytest.fixture(scope="module")
+def moved():
+    """Runs of a small arm with faults that depend on how it moves."""
+    config = jaxftc.Config(three_hinges(), engine="chain", t_final=0.3, duration=0.3)
+    goal = config.robot.q_zero + np.array([0.3, -0.3, 0.3])
+    healthy = jaxftc.healthy_scenario(config, q_start=config.robot.q_zero, q_goal=goal, noise=0.0)
+    runs = [healthy, healthy.with_locked_joint(2, 0.15), healthy.with_joint_friction(2, 1.0, 0.05, rise=0.1)]
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), stack(runs), jax.random.key(0))
+    return config, jax.tree.map(np.asarray, trace)
+
+
+def test_a_locked_joint_stays_where_it_was(moved):
+    config, trace = moved
+    onset = round(0.15 / config.dt)
+    assert np.abs(trace.qd[0, onset, 1]) > 0.5, "it was moving"
+    left = np.abs(trace.q[1, onset:, 1] - trace.q[1, onset, 1])
+    assert left.max() < 0.02 and np.abs(trace.qd[1, -10:, 1]).max() < 0.02
+    assert np.abs(trace.q[0, -1, 1] - trace.q[0, onset, 1]) > 0.1
+
+
+def test_friction_takes_energy_from_the_arm(moved):
+    _, trace = moved
+    power = trace.fault_tau[2, :, 1] * trace.qd[2, :, 1]
+    assert (power <= 0).all() and power.min() < -0.1
+    np.testing.assert_array_equal(trace.fault_tau[0], 0.0)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+@pytest.mark.parametrize("size", [0.1, 30.0])
+def test_friction_of_any_size_ends_a_motion_and_turns_none_round(dt, size):
+    law, speed = fault(Actuator.FRICTION, size, onset=0.0, clear=jnp.inf), jnp.array([1.0, -0.5])
+    inertia = jnp.array([0.05, 0.2])
+    for k in range(2000):
+        motion = fault_injection.Motion(jnp.zeros(2), speed, inertia, dt)
+        torque = fault_injection.deliver(law, start(), jnp.asarray(k * dt), jnp.zeros(2), LIMIT, motion)[1]
+        after = speed + dt * torque / inertia
+        assert (after * speed >= -1e-15).all() and (jnp.abs(after) <= jnp.abs(speed) + 1e-15).all()
+        speed = after
+    assert np.abs(speed).max() < 1e-2
 
 
 def test_paper_conditions(config):
@@ -147,7 +215,9 @@ def test_refusals(config):
         ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"
     ):
         paper_scenario("actuators", config)
-    with pytest.raises(ValueError, match=r"preset must be one of 'paper', 'standard', 'hard', 'doubles', got 'papers'; did"):
+    with pytest.raises(
+        ValueError, match=r"preset must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 'papers'; did"
+    ):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
     with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
         jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)

@@ -178,7 +178,7 @@ ERRORS = {
     "[encoder]\nnoise = 1": "encoder.noise: unknown key; did you mean 'noise_rad'?",
     "[actuator.loss]\nsize = 1\nsign = 'random'": "actuator.loss.sign: unknown key; the keys here are weight, size, unit",
     "[actuator.stuck]\nsize = 1": "actuator.stuck.size: unknown key; the keys here are weight",
-    "[sensor]\n'<uniform>' = 3": "sensor.'<uniform>': unknown key; the keys here are bias, drift, freeze, scale, noise, dropout",
+    "[sensor]\n'<uniform>' = 3": "sensor.'<uniform>': unknown key; the keys here are bias, drift, freeze, scale, noise, dropout, rounding, wrap, delay, crosstalk",
     '"two\\nlines" = 3': "'two\\nlines': unknown key; the keys here are shares, motion, times, actuator, sensor, "
     "sensor_in_both, encoder, joints, plant, base",
     "[actuator.bias]": "actuator.bias.size: missing; give a number or a law such as { uniform = [low, high] }",
@@ -267,9 +267,9 @@ def test_errors_on_top_of_a_base(load, text):
 ALONE = {
     "": 'my.toml: shares: missing; give it, or take what is not said from a preset, with base = "standard" on top',
     'bse = "standard"': "my.toml: bse: unknown key; did you mean 'base'?",
-    'base = "standrd"': "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', got 'standrd'; "
+    'base = "standrd"': "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 'standrd'; "
     "did you mean 'standard'?",
-    "base = 3": "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', got 3",
+    "base = 3": "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 3",
     "[shares]\nhealthy = 1\n[motion]\nstart_deg = 0\ntravel_deg = 0\n[times]\nonset_s = 0\npermanent = 0.5": "my.toml: "
     "times.lasting_s: missing; only with permanent = 1 no fault clears, got permanent = 0.5",
     "[shares": "cannot read preset from my.toml: Expected ']' at the end of a table declaration (at end of document)",
@@ -296,7 +296,7 @@ def test_files_that_cannot_be_read(load, tmp_path, config):
 def test_unknown_names():
     for name in ("papr", 3, None):
         hint = r"; did you mean 'paper'\?" if name == "papr" else ""
-        allowed = "'paper', 'standard', 'hard', 'doubles'"
+        allowed = "'paper', 'standard', 'hard', 'doubles', 'uncommon'"
         with pytest.raises(ValueError, match=rf"^preset must be one of {allowed}, got {name!r}{hint} \(a file of your own"):
             load_preset(name)
 

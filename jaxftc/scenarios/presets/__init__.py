@@ -1,3 +1,9 @@
 """The built-in presets: files of the format that users write, and their names."""
 
-PRESET_NAMES = ("paper", "standard", "hard", "doubles")  # paper is the paper's four conditions in turn and has no file
+PRESET_NAMES = (
+    "paper",
+    "standard",
+    "hard",
+    "doubles",
+    "uncommon",
+)  # paper is the paper's four conditions in turn and has no file
