@@ -17,7 +17,13 @@ from jaxftc.version import __version__
 
 
 def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
-    """Write gains with their units to a TOML file, aside first, then renamed. ``config`` adds what they belong to."""
+    """Write gains with their units to a TOML file, aside first, then renamed.
+
+    Args:
+        path: The file.
+        gains: One set, without scenario axes.
+        config: What they belong to, if it is to be in the file: robot, time step and structure.
+    """
     table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else header(config))}
     if config is not None and gains.own is not None:
         table["made_with"]["scheme"] = config.scheme
@@ -30,6 +36,13 @@ def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> 
 
 def load_gains(path: str | Path, config: Config) -> Gains:
     """Read gains from a TOML file written by ``save_gains``; every gain must be there and nothing else.
+
+    Args:
+        path: The file.
+        config: The robot, time step and structure that they are wanted for.
+
+    Returns:
+        The gains.
 
     Raises:
         ValueError: unreadable file, unknown or missing gain, wrong unit, wrong shape, or gains of another robot or orders.

@@ -73,9 +73,21 @@ def calibrate(
     confidence: float = 0.95,
     done: Callable[[int], object] = lambda count: None,
 ) -> Calibration:
-    """Set ``gains.diagnosis.alpha_tau`` and ``alpha_q`` on scenarios with a leading axis, their faults left out.
+    """Set ``gains.diagnosis.alpha_tau`` and ``alpha_q`` on healthy scenarios: faults are left out.
 
     Half of them set the thresholds, the others check the result.
+
+    Args:
+        config: Robot, structure and timing.
+        gains: All others stay as they are.
+        scenarios: Motions, arms and noises to set them on, with a leading axis.
+        key: Of the encoder noise.
+        false_alarms: Share of healthy runs that may raise an alarm.
+        confidence: With which no more do.
+        done: Is told after each piece how many runs it had.
+
+    Returns:
+        The gains, and what the fresh runs did.
 
     Raises:
         ValueError: too few scenarios for that share and confidence, or no threshold can reach it.

@@ -50,11 +50,20 @@ def truth(fault_tau: np.ndarray, fault_q: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: np.ndarray) -> Detection:
-    """What became of the faults of a run, from verdicts [T, n], the wanted one [n] and when a fault is there [T] bool.
+    """What became of the faults of a run.
 
     The delay runs from onset to the first alarm of a joint and channel that rises then or later; the verdict is scored
     SETTLE after that. An alarm before onset, or later than RECOVERY after the last tick of a fault, is a false one and finds
     nothing, also if it is still up when the fault comes.
+
+    Args:
+        config: Robot and time step.
+        verdict: [T, n] of ``Verdict``.
+        wanted: [n], the one that is right.
+        present: [T] bool, when a fault is there.
+
+    Returns:
+        Delay, isolation, false alarms and the verdict that was scored.
     """
     alarm, ticks = (verdict != Verdict.NORMAL).any(1), np.arange(len(verdict))
     there = np.flatnonzero(present)
@@ -90,7 +99,14 @@ def at_level(curve: np.ndarray, level: float) -> tuple[float, float]:
 
 
 def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
-    """All figures of one run; ``trace`` is a column per signal, [T, n], as ``columns`` gives it.
+    """All figures of one run.
+
+    Args:
+        config: Robot and time step.
+        trace: Signals by name, [T, n] each, as ``columns`` gives them.
+
+    Returns:
+        Figures of all joints together.
 
     Raises:
         ValueError: the arm diverged.
@@ -118,7 +134,15 @@ def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
 
 
 def columns(trace: object, scenario: int | None = None) -> dict[str, np.ndarray]:
-    """Signals of a ``Trace`` by name, the controller's outputs among them; one scenario of several if asked for."""
+    """Signals of a ``Trace`` by name, the controller's outputs among them.
+
+    Args:
+        trace: Of ``simulate``.
+        scenario: Which one of a set, from 0; None if the trace is of one run.
+
+    Returns:
+        Arrays [T, n], or [T] for the time.
+    """
     flat = trace._asdict()  # pyright: ignore[reportAttributeAccessIssue]
     flat |= flat.pop("out")._asdict()
     arrays = {name: np.asarray(value) for name, value in flat.items()}

@@ -20,6 +20,14 @@ def fit_batch(config: Config, gains: Gains, log: Log) -> Gains:
     noise, but the free run does not (see ``fit_multistep``). And more Laguerre functions than the arm needs can fit one
     step to 1e-5 deg and explode in free run, so look at ``errors``, never at the one-step error alone.
 
+    Args:
+        config: Robot, time step and the model's orders.
+        gains: Poles and a read-out to begin with; everything else in them stays.
+        log: A healthy recording that starts at rest and in which every joint moves.
+
+    Returns:
+        The gains with another read-out.
+
     Raises:
         ValueError: the log is refused (shape, length, finiteness, start in motion, a joint that stood still), it does not
             excite a joint's model, or a gain is not allowed.

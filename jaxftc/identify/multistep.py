@@ -57,6 +57,14 @@ def errors(config: Config, gains: Gains, log: Log) -> Errors:
 
     With an encoder noise of sigma no one-step error can be below sigma, and the restarts of the 50-step error carry noise.
 
+    Args:
+        config: Robot, time step and the model's orders.
+        gains: The model, ``gains.arx``.
+        log: A recording that starts at rest.
+
+    Returns:
+        Errors, rad.
+
     Raises:
         ValueError: the log is refused (a joint may stand still here), or a gain is not allowed.
     """
@@ -70,6 +78,15 @@ def errors(config: Config, gains: Gains, log: Log) -> Errors:
 
 def predict(config: Config, gains: Gains, log: Log, horizon: int) -> np.ndarray:
     """Angles [T, n] rad that a model predicts for a log, restarted from its readings every ``horizon`` ticks.
+
+    Args:
+        config: Robot, time step and the model's orders.
+        gains: The model, ``gains.arx``.
+        log: A recording that starts at rest.
+        horizon: Ticks between restarts.
+
+    Returns:
+        Angles [T, n] rad.
 
     Raises:
         ValueError: the log is refused (a joint may stand still here), a gain is not allowed, or horizon is below 1.
@@ -93,6 +110,16 @@ def fit_multistep(config: Config, gains: Gains, log: Log, horizon: int = HORIZON
     its read-out. The horizon decides what is learned: over 50 ticks the encoder's noise at the restarts outweighs a gain of
     kappa_b that is 0.1 % off, so such a model is no better than batch least squares in free run; a model that is to run
     alone needs ``horizon=len(log.q)``. A longer horizon on an arm with unmodelled friction fits the friction instead.
+
+    Args:
+        config: Robot, time step and the model's orders.
+        gains: Poles and a read-out to begin with; everything else in them stays.
+        log: A healthy recording that starts at rest and in which every joint moves.
+        horizon: Ticks between restarts of the simulation.
+        steps: Of Levenberg-Marquardt, at most.
+
+    Returns:
+        The gains with another read-out.
 
     Raises:
         ValueError: the log or a gain is refused, horizon or steps is below 1, or the given model explodes in the horizon.

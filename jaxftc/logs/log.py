@@ -49,6 +49,12 @@ def from_trace(trace: Trace) -> Log:
 
     A fault in the run is identified as part of the arm: take a healthy one.
 
+    Args:
+        trace: Of ``simulate``, one scenario.
+
+    Returns:
+        Readings and commands of that run.
+
     Raises:
         ValueError: the trace has scenario axes.
     """

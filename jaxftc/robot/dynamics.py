@@ -50,7 +50,14 @@ class Plant(NamedTuple):
 
 
 def nominal_plant(robot: Robot) -> Plant:
-    """The arm exactly as the model has it."""
+    """The arm exactly as the model has it.
+
+    Args:
+        robot: The arm.
+
+    Returns:
+        Factors of 1 and no payload.
+    """
     one = jnp.ones(robot.n)
     return Plant(mass=one, payload=jnp.zeros(()), armature=one, damping=one, coulomb=one, torque_constant=one)
 

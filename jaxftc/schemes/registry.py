@@ -34,6 +34,14 @@ def scheme(config: Config) -> Any:
 def init(config: Config, gains: Gains, q: Array) -> Any:
     """Controller state at rest in q [n, ...] rad, holding the arm against gravity.
 
+    Args:
+        config: Robot, structure and timing.
+        gains: As ``default_gains`` or ``load_gains`` gives them.
+        q: [n, ...] rad, the first reading.
+
+    Returns:
+        The state that the first ``step`` takes.
+
     Raises:
         ValueError: an argument is of another kind, q has the wrong shape or is not finite, a gain is not allowed, or the
             observer is unstable with them.
@@ -62,6 +70,17 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
 
     An arm whose state is not finite, or beyond all that a tick makes, starts anew at its readings, and its verdict of this
     tick is ``Verdict.UNKNOWN`` for every joint.
+
+    Args:
+        config: Robot, structure and timing; static.
+        gains: Of the observer, the decision and the controller.
+        state: Of ``init`` or of the last tick.
+        reference: Angle, speed and acceleration that are wanted now, [n, ...] each.
+        measurement: The reading [n, ...] rad, nan where there is none, and the torque [n, ...] N m that the drives were
+            last told.
+
+    Returns:
+        The next state, and what the controller commands and says, [n, ...] each.
 
     Raises:
         ValueError: an argument is of another kind or a shape is wrong (shapes are known even under a trace; values are
