@@ -171,7 +171,7 @@ def test_state_comes_out_as_it_went_in(block, axes, dtype):
     assert {leaf.shape for leaf in jax.tree.leaves(info)} <= {(N, *axes), axes}
 
 
-@each(*SMALL, *PAIRS, *BASELINES, slow=VARIANTS)
+@each(*SMALL, *FEW, slow=REST)
 def test_one_trace_and_the_same_numbers_as_without_jit(block):
     gains = default_gains(block)
     chex.clear_trace_counter()  # it takes functions with one source for the same
