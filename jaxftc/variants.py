@@ -25,23 +25,24 @@ SCHEMES: dict[str, str] = {
     "computed_torque": "jaxftc.schemes.computed_torque",
 }
 
-CASCADES: dict[str, dict[str, str]] = {  # the cascade with another observer or control: what changes in the config
+CASCADES: dict[str, dict[str, Any]] = {  # the cascade with another observer or control, or an arm that is learned: what changes in the config
     "pi": {"observer": "pi"},
     "eso": {"observer": "eso"},
     "eso_printed": {"observer": "eso_printed"},
     "smc": {"control": "smc"},
     "esmc": {"control": "esmc"},
+    "adaptive": {"adaptive": True},
 }
 
 CONTRACT = ("State", "init", "step", "gains_used", "DIAGNOSES")
 
 
-def variants() -> dict[str, dict[str, str]]:
+def variants() -> dict[str, dict[str, Any]]:
     """Every named variant, and what it changes in a config; read anew, so that an added scheme is among them."""
     return {name: {"scheme": name} for name in SCHEMES} | CASCADES
 
 
-def changes(name: str) -> dict[str, str]:
+def changes(name: str) -> dict[str, Any]:
     """What a variant, or a scheme of the user's, changes in a config.
 
     Raises:
