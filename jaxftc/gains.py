@@ -145,7 +145,7 @@ class ControlGains:
 
 @block
 class AdaptationGains:
-    """The arm that is learned while it runs (jaxftc/observer/adaptation.py): what it may differ by, and how soon it is learned."""
+    """The arm that is learned (jaxftc/observer/adaptation.py): what it may differ by, and how soon it is learned."""
 
     load: Array = gain("1", "kg", 0.5, low=0.0, doc="standard deviation of the payload; 0 learns none")
     viscous: Array = gain("n", "1", 0.15, low=0.0, doc="standard deviation of viscous friction over the model's")

@@ -50,7 +50,7 @@ def run_block(config, gains, inputs, state=None):
 
 
 def test_it_is_bayesian_regression(config, gains, rng):
-    """Same mean and variance as the dense normal equations, tick by tick; surprises within the threshold, means in bounds."""
+    """Same mean and variance as the dense normal equations, tick by tick, where neither clip acts."""
     gains = gains.replace({"diagnosis.alpha_tau": 1e3, "adaptation.noise": 5e-4, "adaptation.memory": 0.05})
     inputs = signals(rng, 40, size=2.0)
     state, got = run_block(config, gains, inputs)
@@ -59,7 +59,7 @@ def test_it_is_bayesian_regression(config, gains, rng):
     speed = np.asarray(config.robot.coulomb_speed)
     for k in range(40):
         y, moving = twin.rows(*delayed), np.tanh(np.asarray(inputs.qd[k]) / speed) ** 2
-        kept = 1 - DT * moving / 0.05
+        kept = np.exp(-DT * moving / 0.05)
         assert np.ptp(kept) < 1e-6, "one memory for all joints, as the twin has it"
         twin.take_in(y, made - inputs.torque[k], DT * moving / (0.1 * 0.5**2), kept[0])
         now = [np.asarray(column[k]) for column in inputs.columns]
@@ -92,6 +92,20 @@ def test_what_is_learned_stays_within_what_an_arm_can_differ_by(config, gains, r
     arm = adaptation.learned(gains, state)
     np.testing.assert_array_equal((arm.load, *arm.viscous), 0.0)
     np.testing.assert_allclose(arm.coulomb, 0.3, rtol=1e-9)  # two standard deviations of 0.15
+
+
+def test_hours_at_one_speed_round_to_nothing_bad(config, gains):
+    """Viscous and Coulomb friction look the same, in float32, with a sigma of next to nothing."""
+    gains = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), gains)
+    one = jnp.ones((20_000, N), jnp.float32)
+    gains = gains.replace({"diagnosis.alpha_tau": 0.01, "adaptation.memory": 1e4})
+    inputs = adaptation.Inputs(-0.3 * one, one, one > 2, adaptation.Columns(3.0 * one, one, one))
+    start = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), adaptation.init(config, gains, one[0]))
+    state, got = run_block(config, gains, inputs, start)
+    known = adaptation.posterior(state.information)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((known, got)))
+    assert (np.asarray((known.vv, known.cc)) > 0).all() and (np.asarray(got.trust) > 0).all()
+    assert (np.asarray(got.trust) <= 1).all()
 
 
 @pytest.mark.parametrize("why", ["standing", "alarmed"])
@@ -149,9 +163,7 @@ def loop(config, gains, loads, friction, fault):
         return (q, qd, out.tau, state), (out, q - desired.q, state.adaptation)
 
     start = jaxftc.init(config, gains, a)
-    return jax.lax.scan(
-        body, (a, jnp.zeros(N), start.command.tau, start), (jnp.arange(len(loads)), loads, fault)
-    )[1]
+    return jax.lax.scan(body, (a, jnp.zeros(N), start.command.tau, start), (jnp.arange(len(loads)), loads, fault))[1]
 
 
 def run(config, gains, *, load=0.0, since=0.0, friction=1.0, fault=0.0, fault_at=np.inf):

@@ -29,8 +29,8 @@ import jax.numpy as jnp
 
 from jaxftc.compile.box import box
 from jaxftc.config import Config
-from jaxftc.gains import Gains
-from jaxftc.robot import dynamics, lanes, rigid_body
+from jaxftc.gains import Gains, align
+from jaxftc.robot import dynamics, rigid_body
 from jaxftc.types import Array
 
 BOUND = 2.0  # standard deviations by which an arm differs at most
@@ -93,11 +93,17 @@ class Correction(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """How the arm differs from its model, as far as that is known."""
+    """How the arm differs from its model, as far as that is known.
 
-    load: Array  # [...] kg, payload
-    viscous: Array  # [n, ...] 1, viscous friction over the model's, less 1
-    coulomb: Array  # [n, ...] 1, the same of Coulomb friction
+    Attributes:
+        load: [...] kg, payload.
+        viscous: [n, ...] 1, viscous friction over the model's, less 1.
+        coulomb: [n, ...] 1, the same of Coulomb friction.
+    """
+
+    load: Array
+    viscous: Array
+    coulomb: Array
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -118,7 +124,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
 
     expected = _product(y, posterior(state.information).mean)
     z = expected + jnp.clip(state.made - inputs.torque - expected, -alpha, alpha)
-    information = _take_in(state.information, y, z, counts / (own.correlation * sigma**2), 1 - counts / own.memory)
+    information = _take_in(state.information, y, z, counts / (own.correlation * sigma**2), jnp.exp(-counts / own.memory))
     known = posterior(information)
 
     tau = _product(inputs.columns, known.mean)
@@ -129,8 +135,16 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
 
 
 def learned(gains: Gains, state: State) -> Arm:
-    """What is known of the arm, in its units."""
-    own, phi = gains.adaptation, posterior(state.information).mean
+    """What is known of the arm, in its units.
+
+    Args:
+        gains: That it was learned with.
+        state: The field ``adaptation`` of the cascade's state.
+
+    Returns:
+        Payload and friction beyond the model's.
+    """
+    own, phi = align(gains, state.hold.ndim).adaptation, posterior(state.information).mean
     return Arm((own.load * phi.load)[0], own.viscous * phi.viscous, own.coulomb * phi.coulomb)
 
 
@@ -165,12 +179,14 @@ class Posterior(NamedTuple):
 
 
 def posterior(known: Information) -> Posterior:
-    """What the information and the prior N(0, 1) say, the mean within the bounds."""
-    vv, cc = 1 + known.vv, 1 + known.cc
-    scale = 1 / (vv * cc - known.vc**2)
-    vv, vc, cc = scale * cc, -scale * known.vc, scale * vv
+    """What the information and the prior N(0, 1) say, the mean within the bounds.
+
+    What rounding could make negative of a determinant, when viscous and Coulomb friction look the same, is held at 0.
+    """
+    scale = 1 / (1 + known.vv + known.cc + jnp.maximum(known.vv * known.cc - known.vc**2, 0.0))
+    vv, vc, cc = scale * (1 + known.cc), -scale * known.vc, scale * (1 + known.vv)
     v, c = -(vv * known.lv + vc * known.lc), -(vc * known.lv + cc * known.lc)
-    left = known.ll + v * known.lv + c * known.lc  # of the load, the joint's friction being unknown
+    left = jnp.maximum(known.ll + v * known.lv + c * known.lc, 0.0)  # of the load, the joint's friction being unknown
     load_variance = 1 / (1 + left.sum(0, keepdims=True))
     load = _bounded(load_variance * (known.lz + v * known.vz + c * known.cz).sum(0, keepdims=True))
     viscous = vv * known.vz + vc * known.cz + v * load
@@ -181,7 +197,7 @@ def posterior(known: Information) -> Posterior:
 def variance(known: Posterior, y: Columns) -> Array:
     """Variance [n, ...] (N m)^2 of the rows y."""
     friction = known.vv * y.viscous**2 + 2 * known.vc * y.viscous * y.coulomb + known.cc * y.coulomb**2
-    return friction + known.load * (y.load + known.v * y.viscous + known.c * y.coulomb) ** 2
+    return jnp.maximum(friction, 0.0) + known.load * (y.load + known.v * y.viscous + known.c * y.coulomb) ** 2
 
 
 def _take_in(known: Information, y: Columns, z: Array, weight: Array, kept: Array) -> Information:

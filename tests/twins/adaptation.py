@@ -1,4 +1,4 @@
-"""The arm that is learned, as a textbook has it: Bayesian regression on [load, viscous of each joint, Coulomb of each joint]."""
+"""The arm that is learned, as a textbook has it: Bayesian regression on [load, viscous [n], Coulomb [n]]."""
 
 import numpy as np
 
