@@ -89,7 +89,7 @@ class Tune(common.Options):
         checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
         common.look_here_for(self.scheme)
-        structure = {"observer": self.observer, "control": self.control} | changes(self.scheme)
+        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
         config = Config(
             common.load_arm(self),
             dt=common.sample_time(self),
