@@ -103,10 +103,13 @@ class Config:
         checks.integer("transient_ticks", self.transient_ticks, 0, "0 switches the sensor check off")
 
     def _check_adaptive(self) -> None:
-        if self.adaptive and (self.scheme != "cascade" or self.input != "rigid_body"):
+        if not self.adaptive:
+            return
+        learns = getattr(variants.load(self.scheme), "LEARNS", False)
+        if not learns or self.input != "rigid_body":
             raise ValueError(
-                'adaptive needs scheme="cascade" and input="rigid_body", which measure the torque that the model lacks; '
-                f"got scheme={self.scheme!r}, input={self.input!r}"
+                "adaptive needs a scheme that learns, the cascade, and input='rigid_body', which measure the torque that the "
+                f"model lacks; got scheme={self.scheme!r}, input={self.input!r}"
             )
 
     @property

@@ -8,7 +8,8 @@ A scheme is a module, or any object, with
 * ``gains_used(config)``: the names of the gains that it reads, of which tuning moves some,
 * ``DIAGNOSES``: whether it raises alarms, so that it has thresholds to set,
 * if it has gains of its own, ``GAINS``: their class (``jaxftc.gains.block``); they are ``gains.own``,
-* if its ``step`` takes the cascade's ``stages`` as data, ``STAGED = True``.
+* if its ``step`` takes the cascade's ``stages`` as data, ``STAGED = True``,
+* if it learns the arm where ``config.adaptive`` says so, ``LEARNS = True``.
 
 A scheme of the package is a module and its line here. Any other goes by the name under which Python finds it,
 ``module:object``, so that a new process and the manifest of a campaign find it too.

@@ -25,7 +25,7 @@ from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
 
-DIAGNOSES, STAGED = True, True
+DIAGNOSES, STAGED, LEARNS = True, True, True
 
 
 class State(NamedTuple):
