@@ -108,8 +108,8 @@ class Config:
         learns = getattr(variants.load(self.scheme), "LEARNS", False)
         if not learns or self.input != "rigid_body":
             raise ValueError(
-                "adaptive needs a scheme that learns, the cascade, and input='rigid_body', which measure the torque that the "
-                f"model lacks; got scheme={self.scheme!r}, input={self.input!r}"
+                "adaptive needs a scheme that learns, the cascade, and input='rigid_body', which measure the torque that "
+                f"the model lacks; got scheme={self.scheme!r}, input={self.input!r}"
             )
 
     @property
