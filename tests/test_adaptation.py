@@ -68,8 +68,7 @@ def test_it_is_bayesian_regression(config, gains, rng):
         np.testing.assert_allclose(got.trust[k], 1 / np.sqrt(1 + twin.variance(y) / 0.25), rtol=1e-6)
         delayed = [old + share * (new - old) for old, new in zip(delayed, now, strict=True)]
         made = made + share * (tau - made)
-    phi = adaptation.posterior(state.information).mean
-    np.testing.assert_allclose(np.concatenate(phi), twin.mean(), rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate(state.phi), twin.mean(), rtol=1e-6, atol=1e-9)
     assert 0.01 < np.abs(twin.mean()).max() < adaptation.BOUND
 
 

@@ -71,6 +71,7 @@ class State(NamedTuple):
     """What the next tick needs."""
 
     information: Information
+    phi: Estimate
     columns: Columns  # of the last commands, delayed as the cascade delays
     made: Array  # [n, ...] N m, what phi has added to them, delayed in the same way
     hold: Array  # [...] s until learning may go on
@@ -110,7 +111,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     """Nothing learned yet."""
     del config, gains
     zero = jnp.zeros_like(q)
-    return State(Information(*[zero] * 9), Columns(*[zero] * 3), zero, zero[0])
+    return State(Information(*[zero] * 9), Estimate(zero[:1], zero, zero), Columns(*[zero] * 3), zero, zero[0])
 
 
 @box("The arm that is learned: payload and friction")
@@ -122,7 +123,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     moving = jnp.tanh(inputs.qd / config.robot.coulomb_speed) ** 2
     counts = jnp.where(hold > 0, 0.0, dt * moving)
 
-    expected = _product(y, posterior(state.information).mean)
+    expected = _product(y, state.phi)
     z = expected + jnp.clip(state.made - inputs.torque - expected, -alpha, alpha)
     information = _take_in(state.information, y, z, counts / (own.correlation * sigma**2), jnp.exp(-counts / own.memory))
     known = posterior(information)
@@ -130,7 +131,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     tau = _product(inputs.columns, known.mean)
     share = 0.5 * (1 - gains.arx.xi_a)
     delayed = [old + share * (new - old) for old, new in zip((*y, state.made), (*inputs.columns, tau), strict=True)]
-    next_state = State(information, Columns(*delayed[:3]), delayed[3], hold)
+    next_state = State(information, known.mean, Columns(*delayed[:3]), delayed[3], hold)
     return next_state, Correction(tau, jax.lax.rsqrt(1 + variance(known, y) / sigma**2))
 
 
@@ -144,7 +145,7 @@ def learned(gains: Gains, state: State) -> Arm:
     Returns:
         Payload and friction beyond the model's.
     """
-    own, phi = align(gains, state.hold.ndim).adaptation, posterior(state.information).mean
+    own, phi = align(gains, state.hold.ndim).adaptation, state.phi
     return Arm((own.load * phi.load)[0], own.viscous * phi.viscous, own.coulomb * phi.coulomb)
 
 

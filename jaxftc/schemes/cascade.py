@@ -115,7 +115,7 @@ def step(
     command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
-    statistic = statistic if learned is None else statistic._replace(tau=learned.trust * statistic.tau)
+    statistic = _trusted(statistic, learned)
     inputs = decision.Inputs(statistic, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
@@ -201,6 +201,11 @@ def _watched(
     real = mass.matvec(sensor_check.mask_suspect(sensors, seen.psi))
     ahead = mass.matvec(sensor_check.mask_suspect(sensors, gains.diagnosis.lead * seen.e))
     return real, statistics.Inputs(real + ahead, either(on.fuzzy, seen.b, residual.q))
+
+
+def _trusted(statistic: statistics.Statistics, learned: adaptation.Correction | None) -> statistics.Statistics:
+    """The torque statistic less what may still be the model's, where the arm is learned."""
+    return statistic if learned is None else statistic._replace(tau=learned.trust * statistic.tau)
 
 
 @box("The command within the torque limits")
