@@ -39,6 +39,7 @@ class Config:
         observer: How much of the cascade runs: ``pi`` is block 2, ``eso`` adds block 3, Eq. (7)
             mended (``eso_printed``: as printed), ``ts`` adds block 4.
         control: Sliding-mode law: Eq. (19), (24) or (30).
+        adaptive: Whether payload and friction are learned while the arm runs; the cascade's only.
         order_a: Laguerre functions on the output.
         order_b: Laguerre functions on the input.
         input: What drives the ARX model: an acceleration from the rigid-body model, or the torques
@@ -63,6 +64,7 @@ class Config:
     scheme: Any = "cascade"
     observer: Observer = "ts"
     control: Control = "afesmc"
+    adaptive: bool = False
     order_a: int = 3
     order_b: int = 2
     input: Literal["rigid_body", "torque"] = "rigid_body"
@@ -93,11 +95,22 @@ class Config:
         checks.one_of("input", self.input, ("rigid_body", "torque"))
         checks.one_of("rules", self.rules, tuple(TABLES))
         checks.one_of("sign", self.sign, ("smooth", "hard"))
+        self._check_adaptive()
         checks.integer("order_a", self.order_a, 2, "a joint is a double integrator; 3 suits it at 1 kHz")
         checks.integer("order_b", self.order_b, 2, "a joint is a double integrator; 2 suits it at 1 kHz")
         checks.integer("alarm_ticks", self.alarm_ticks, 1, "1 alarms at once")
         checks.integer("release_ticks", self.release_ticks, 1, "1 releases at once")
         checks.integer("transient_ticks", self.transient_ticks, 0, "0 switches the sensor check off")
+
+    def _check_adaptive(self) -> None:
+        if not self.adaptive:
+            return
+        learns = getattr(variants.load(self.scheme), "LEARNS", False)
+        if not learns or self.input != "rigid_body":
+            raise ValueError(
+                "adaptive needs a scheme that learns, the cascade, and input='rigid_body', which measure the torque that "
+                f"the model lacks; got scheme={self.scheme!r}, input={self.input!r}"
+            )
 
     @property
     def n(self) -> int:

@@ -144,6 +144,18 @@ class ControlGains:
 
 
 @block
+class AdaptationGains:
+    """The arm that is learned (jaxftc/observer/adaptation.py): what it may differ by, and how soon it is learned."""
+
+    load: Array = gain("1", "kg", 0.5, low=0.0, doc="standard deviation of the payload; 0 learns none")
+    viscous: Array = gain("n", "1", 0.15, low=0.0, doc="standard deviation of viscous friction over the model's")
+    coulomb: Array = gain("n", "1", 0.15, low=0.0, doc="the same of Coulomb friction")
+    noise: Array = gain("n", "1", 0.1, above=0.0, doc="model error that is not learned, over alpha_tau")
+    correlation: Array = gain("1", "s", 0.1, above=0.0, doc="time for which that error stays")
+    memory: Array = gain("1", "s", 1.0, above=0.0, doc="time of motion after which a row is forgotten")
+
+
+@block
 class BaselineGains:
     """The other schemes: computed torque, momentum observer, extended Kalman filter (jaxftc/baselines).
 
@@ -170,6 +182,7 @@ class Gains:
         observer: The cascade, blocks 2 to 4.
         diagnosis: Thresholds and statistics, blocks 5 to 7.
         control: The sliding-mode law and its fuzzy gain, blocks 8 and 9.
+        adaptation: The arm that is learned while it runs.
         baseline: The other schemes of the package, which one gains file serves.
         own: Those of a scheme of the user's, if it has any.
     """
@@ -178,6 +191,7 @@ class Gains:
     observer: ObserverGains
     diagnosis: DiagnosisGains
     control: ControlGains
+    adaptation: AdaptationGains
     baseline: BaselineGains
     own: Any = None
 
@@ -212,6 +226,7 @@ BLOCKS = {
     "observer": ObserverGains,
     "diagnosis": DiagnosisGains,
     "control": ControlGains,
+    "adaptation": AdaptationGains,
     "baseline": BaselineGains,
 }
 NAMES = tuple(f"{block}.{field.name}" for block, cls in BLOCKS.items() for field in dataclasses.fields(cls))

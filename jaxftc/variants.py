@@ -8,7 +8,8 @@ A scheme is a module, or any object, with
 * ``gains_used(config)``: the names of the gains that it reads, of which tuning moves some,
 * ``DIAGNOSES``: whether it raises alarms, so that it has thresholds to set,
 * if it has gains of its own, ``GAINS``: their class (``jaxftc.gains.block``); they are ``gains.own``,
-* if its ``step`` takes the cascade's ``stages`` as data, ``STAGED = True``.
+* if its ``step`` takes the cascade's ``stages`` as data, ``STAGED = True``,
+* if it learns the arm where ``config.adaptive`` says so, ``LEARNS = True``.
 
 A scheme of the package is a module and its line here. Any other goes by the name under which Python finds it,
 ``module:object``, so that a new process and the manifest of a campaign find it too.
@@ -25,23 +26,26 @@ SCHEMES: dict[str, str] = {
     "computed_torque": "jaxftc.schemes.computed_torque",
 }
 
-CASCADES: dict[str, dict[str, str]] = {  # the cascade with another observer or control: what changes in the config
+CASCADES: dict[
+    str, dict[str, Any]
+] = {  # the cascade with another observer or control, or an arm that is learned: what changes in the config
     "pi": {"observer": "pi"},
     "eso": {"observer": "eso"},
     "eso_printed": {"observer": "eso_printed"},
     "smc": {"control": "smc"},
     "esmc": {"control": "esmc"},
+    "adaptive": {"adaptive": True},
 }
 
 CONTRACT = ("State", "init", "step", "gains_used", "DIAGNOSES")
 
 
-def variants() -> dict[str, dict[str, str]]:
+def variants() -> dict[str, dict[str, Any]]:
     """Every named variant, and what it changes in a config; read anew, so that an added scheme is among them."""
     return {name: {"scheme": name} for name in SCHEMES} | CASCADES
 
 
-def changes(name: str) -> dict[str, str]:
+def changes(name: str) -> dict[str, Any]:
     """What a variant, or a scheme of the user's, changes in a config.
 
     Raises:

@@ -44,7 +44,8 @@ class Tune(common.Options):
     preset: str = "standard"
     """Laws that the training scenarios are drawn from: standard, hard, doubles, uncommon, paper, or your own TOML file."""
     scheme: str = "cascade"
-    """What diagnoses and controls: cascade, momentum, ekf, computed_torque, or your own, module:object."""
+    """What diagnoses and controls: cascade, adaptive (the cascade with an arm that is learned), momentum, ekf,
+    computed_torque, or your own, module:object."""
     observer: Literal["pi", "eso", "ts"] = "ts"
     """PI, with super-twisting, with Takagi-Sugeno."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
@@ -76,6 +77,7 @@ class Tune(common.Options):
         from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
         from jaxftc.cli import record
         from jaxftc.stages import staged
+        from jaxftc.variants import changes
         from tuning import checkpoint, report, terms, transform
         from tuning.held_out import compare
         from tuning.loop import fit
@@ -87,15 +89,14 @@ class Tune(common.Options):
         checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
         common.look_here_for(self.scheme)
+        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
         config = Config(
             common.load_arm(self),
             dt=common.sample_time(self),
             engine=self.engine,
-            scheme=self.scheme,
-            observer=self.observer,
-            control=self.control,
             rules=self.rules,
             duration=self.duration,
+            **structure,
         )
         preset = load_preset(self.preset)
         free = transform.select(config, self.only, self.freeze)
@@ -140,7 +141,8 @@ class Tune(common.Options):
         common.say(self, "\n".join(["", "gains, before -> after", *(report.moved(start, result.gains) or ["none moved"])]))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
         arm = ("--coulomb" if self.coulomb else "") if self.robot == "puma560" else shlex.join(common.arm_words(self))
-        words = ["jaxftc simulate --engine chain", arm, f"--observer {self.observer} --control {self.control}"]
+        words = ["jaxftc simulate --engine chain", arm, f"--observer {config.observer} --control {config.control}"]
+        words += ["--adaptive"] * config.adaptive
         if self.rules == "printed" and staged(config):  # what the command has options for
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
             common.say(self, f"See them at work: {' '.join(filter(None, words))}")

@@ -69,7 +69,8 @@ class Campaign(Laws):
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 1000
     """Number of scenarios."""
     scheme: str = "cascade"
-    """What diagnoses and controls: cascade (T-S observer, AFESMC); the cascade with another observer or controller, pi, eso,
+    """What diagnoses and controls: cascade (T-S observer, AFESMC); adaptive, which learns
+    payload and friction too; the cascade with another observer or controller, pi, eso,
     eso_printed, smc or esmc; a baseline, momentum, ekf or computed_torque; or your own, module:object."""
     compare: str | None = None
     """Several schemes on the same scenarios instead, by their names with commas: cascade,momentum,ekf."""

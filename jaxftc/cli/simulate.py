@@ -45,6 +45,8 @@ class Simulate(common.Options):
     """PI, with super-twisting, with Takagi-Sugeno."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
     """Sliding mode, with estimation, with the fuzzy gain."""
+    adaptive: bool = False
+    """Learn payload and friction while the arm runs."""
     sign: Literal["smooth", "hard"] = "smooth"
     """tanh(x / eps), or the printed sgn."""
     torque: float = 5.0
@@ -113,6 +115,7 @@ class Simulate(common.Options):
             engine=self.engine,
             observer=self.observer,
             control=self.control,
+            adaptive=self.adaptive,
             sign=self.sign,
             t_final=self.t_final,
             duration=self.duration,

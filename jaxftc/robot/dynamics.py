@@ -158,6 +158,16 @@ def nominal_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> 
     return lanes.stack(links, motor) + motor
 
 
+@box("Nominal arm: a payload")
+def load_torque(robot: Robot, at: rigid_body.Pose, qd: Array, qdd: Array) -> Array:
+    """Torque [n, ...] N m of 1 kg at the tool, all else without mass: what a payload adds to ``nominal_torque``.
+
+    At the same motion its outward recursion is the one of ``nominal_torque``, which the compiler shares.
+    """
+    bodies = rigid_body.payload_inertias(robot)
+    return lanes.stack(rigid_body.newton_euler(robot, bodies, at, unstack(qd), unstack(qdd)), qdd)
+
+
 @box("Nominal arm: inertia M(q)")
 def nominal_mass(robot: Robot, at: rigid_body.Pose) -> MassMatrix:
     """M(q) of the nominal arm, motor inertia included."""

@@ -17,7 +17,7 @@ from jaxftc.control.last_command import LastCommand
 from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
 from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
-from jaxftc.observer import cascade, super_twisting, takagi_sugeno
+from jaxftc.observer import adaptation, cascade, super_twisting, takagi_sugeno
 from jaxftc.observer.cascade import Estimate
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.mass_matrix import MassMatrix
@@ -25,7 +25,7 @@ from jaxftc.stages import Stages, either
 from jaxftc.stages import of as stages_of
 from jaxftc.types import Array, Measurement, Output, Reference, SensorStatus
 
-DIAGNOSES, STAGED = True, True
+DIAGNOSES, STAGED, LEARNS = True, True, True
 
 
 class State(NamedTuple):
@@ -38,6 +38,7 @@ class State(NamedTuple):
     sensors: SensorStatus
     command: LastCommand
     psi: Array  # [n, ...] rad/s^2, fault estimate of the last tick
+    adaptation: adaptation.State | None = None  # where the arm is learned
 
     @property
     def q(self) -> Array:
@@ -70,6 +71,7 @@ def gains_used(config: Config) -> set[str]:
     unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
     unused |= set() if on.sliding else set(super_twisting.GAINS)
     unused |= set() if on.online else set(fuzzy_gain.GAINS)
+    unused |= set() if config.adaptive else {name for name in NAMES if name.startswith("adaptation.")}
     return set(NAMES) - unused - {"control.alpha_sm2" if on.raw else "control.alpha_sm"}
 
 
@@ -83,6 +85,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         sensors=sensor_check.nothing_found(q),
         command=last_command.hold(config.robot, q),
         psi=jnp.zeros_like(q),
+        adaptation=adaptation.init(config, gains, q) if config.adaptive else None,
     )
 
 
@@ -108,12 +111,14 @@ def step(
     residual = residuals.generate(mass, seen)  # line 5
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, on)
     control, law = sliding_mode.step(config, gains, state.control, _to_control(config, applied, seen, reference, on))
-    command = _command(config, at, mass, control, law, reference, on)  # lines 10 to 12
+    learning, learned = _learn(config, gains, state, at, mass, seen, law, reference)
+    command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
+    statistic = _trusted(statistic, learned)
     inputs = decision.Inputs(statistic, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
-    state = State(observer, means, decided, control, said.sensors, command, seen.psi)
+    state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
     return state, _report(config, gains, seen, residual, statistic, said, law, command)
 
 
@@ -137,6 +142,29 @@ def _to_control(config: Config, applied: Applied, seen: Estimate, reference: Ref
     return sliding_mode.Inputs(q, acceleration, seen.model_reset, psi, reference, on)
 
 
+def _learn(
+    config: Config,
+    gains: Gains,
+    state: State,
+    at: rigid_body.Pose,
+    mass: MassMatrix,
+    seen: Estimate,
+    law: sliding_mode.Command,
+    reference: Reference,
+) -> tuple[adaptation.State | None, adaptation.Correction | None]:
+    """What the cascade finds wrong with the arm's model, where that is learned."""
+    if state.adaptation is None:
+        return None, None
+    alarms = state.decision.alarm
+    inputs = adaptation.Inputs(
+        torque=mass.matvec(seen.psi + adaptation.not_in_psi(config, gains) * seen.e),
+        qd=law.qd_hat,
+        alarmed=alarms.tau + alarms.q + state.sensors.suspect > 0,
+        columns=adaptation.columns(config, gains, at, law.qd_hat, law.qdd + seen.psi, reference.qd),
+    )
+    return adaptation.step(config, gains, state.adaptation, inputs)
+
+
 @box("The command, Algorithm 1, lines 10 to 12")
 def _command(
     config: Config,
@@ -145,6 +173,7 @@ def _command(
     control: sliding_mode.State,
     law: sliding_mode.Command,
     reference: Reference,
+    learned: adaptation.Correction | None,
     on: Stages,
 ) -> LastCommand:
     """Torque before the limits that makes the commanded acceleration, by one Newton-Euler pass."""
@@ -152,6 +181,7 @@ def _command(
     at = at if on.raw is False else rigid_body.pose(robot, control.q)
     tau = dynamics.nominal_torque(robot, at, law.qd_hat, law.qdd)
     tau = tau + dynamics.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
+    tau = tau if learned is None else tau + learned.tau
     return LastCommand(tau, law.qdd, mass.packed(tau))
 
 
@@ -171,6 +201,11 @@ def _watched(
     real = mass.matvec(sensor_check.mask_suspect(sensors, seen.psi))
     ahead = mass.matvec(sensor_check.mask_suspect(sensors, gains.diagnosis.lead * seen.e))
     return real, statistics.Inputs(real + ahead, either(on.fuzzy, seen.b, residual.q))
+
+
+def _trusted(statistic: statistics.Statistics, learned: adaptation.Correction | None) -> statistics.Statistics:
+    """The torque statistic less what may still be the model's, where the arm is learned."""
+    return statistic if learned is None else statistic._replace(tau=learned.trust * statistic.tau)
 
 
 @box("The command within the torque limits")

@@ -17,7 +17,7 @@ from jaxftc import stages
 from jaxftc.control import sliding_mode
 from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
 from jaxftc.gains import align
-from jaxftc.observer import cascade, pi, stage, super_twisting, takagi_sugeno
+from jaxftc.observer import adaptation, cascade, pi, stage, super_twisting, takagi_sugeno
 from jaxftc.scenarios.faults import Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.scenarios.scenario import CONDITIONS
@@ -60,13 +60,13 @@ class Scheme:
         return jaxftc.step(config, gains, state, *inputs)
 
 
-def scheme(name: str, **change: str) -> Block:
+def scheme(name: str, **change: Any) -> Block:
     sizes = (jaxftc.Reference(1.0, 2.0, 10.0), jaxftc.Measurement(1.0, 50.0))
     return Block(name, Scheme, sizes, tuple(change.items()))
 
 
-def pair(observer: str, control: str, **change: str) -> Block:
-    return scheme("-".join((observer, control, *change.values())), observer=observer, control=control, **change)
+def pair(observer: str, control: str, **change: Any) -> Block:
+    return scheme("-".join((observer, control, *map(str, change.values()))), observer=observer, control=control, **change)
 
 
 ESTIMATE = cascade.Estimate(
@@ -77,6 +77,7 @@ SMALL = [
     Block("super-twisting-smooth", super_twisting, stage.Inputs(1e-3, 1.0, None)),
     Block("super-twisting-hard", super_twisting, stage.Inputs(1e-3, 1.0, None), (("sign", "hard"),)),
     Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0)),
+    Block("adaptation", adaptation, adaptation.Inputs(3.0, 2.0, False, adaptation.Columns(2.0, 1.0, 1.0))),
     Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
     Block("alarm", alarm, alarm.Inputs(3.0, 0.02)),
     Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 3.0, ESTIMATE, 2.0, 1.0)),
@@ -108,7 +109,7 @@ FEW = [
     *BASELINES,
 ]
 REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for few in FEW}]
-REST.append(pair("eso_printed", "esmc"))
+REST += [pair("eso_printed", "esmc"), pair("ts", "afesmc", adaptive=True)]
 
 
 def each(*blocks: Block, slow: list[Block] = ()):

@@ -29,6 +29,7 @@ FUZZY_STAGE = {f"observer.{name}" for name in ("alpha_f1", "alpha_f2", "alpha_f3
 FUZZY_STAGE |= {f"observer.{channel}_{part}" for channel in ("tau", "jump") for part in ("centres", "widths")}
 FUZZY_GAIN = {f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")}
 SUPER_TWISTING = {"observer.alpha_sm", "observer.alpha_sm0", "observer.eps"}
+ADAPTATION = {name for name in NAMES if name.startswith("adaptation.")}
 BASELINE = {name for name in NAMES if name.startswith("baseline.")} | {"diagnosis.rate", "diagnosis.stiction"}
 
 
@@ -40,6 +41,7 @@ class Case(NamedTuple):
     control: str
     idle: frozenset[str]
     sign: str = "smooth"
+    adaptive: bool = False
 
     def config(self) -> jaxftc.Config:
         structure = self._asdict()
@@ -47,14 +49,16 @@ class Case(NamedTuple):
         return jaxftc.Config(jaxftc.puma560(), duration=TICKS * 1e-3, **structure)
 
 
-PLAIN = BASELINE | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
-FULL = Case("chain", "ts", "afesmc", frozenset(BASELINE | {"control.alpha_sm"}))
+UNUSED = BASELINE | ADAPTATION
+PLAIN = UNUSED | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
+FULL = Case("chain", "ts", "afesmc", frozenset(UNUSED | {"control.alpha_sm"}))
 SMC = Case("chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
 CASES = {
     "chain-ts-afesmc": FULL,
     "mjx-ts-afesmc": FULL._replace(engine="mjx"),
+    "adaptive": FULL._replace(idle=FULL.idle - ADAPTATION, adaptive=True),
     "chain-pi-smc": SMC,
-    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(BASELINE | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
+    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(UNUSED | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
     "mjx-pi-smc": SMC._replace(engine="mjx"),
 }
 
@@ -151,7 +155,7 @@ def tolerance(slope: np.ndarray) -> dict[str, float]:
     return {"rtol": 1e-4, "atol": 1e-9 + min(1e-4 * float(np.linalg.norm(slope)), 1e-7), "eps": 1e-4}
 
 
-@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc", "adaptive"))
 def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]
@@ -171,7 +175,7 @@ def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     check_vjp(value, backward, (np.zeros(slope.size),), **tolerance(slope))
 
 
-@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc"))
+@each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc", "adaptive"))
 def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
     part = run.slices[name]

@@ -215,7 +215,7 @@ def test_the_table_of_gains_is_that_of_the_code():
 
 def cells(name: str, spec: Spec) -> tuple[str, ...]:
     """The columns of a gain's row that follow from its spec."""
-    axes = {"n": "joint", "a": "function", "b": "function", "u": "input"}
+    axes = {"n": "joint", "a": "function", "b": "function", "u": "input", "1": "arm"}
     per = ", ".join(axes.get(axis, f"{axis} sets") for axis in spec.axes)
     opening = "(" if spec.open_low else "["
     closing = ")" if math.isinf(spec.high) or (spec.low, spec.high) == (-1, 1) else "]"
