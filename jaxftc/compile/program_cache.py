@@ -41,6 +41,17 @@ def user_folder() -> Path:
     return (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "jaxftc"
 
 
+def keep() -> None:
+    """Keep programs, traced and compiled, in the user's cache folder: for a process that is a command's own."""
+    global folder
+    home = open_folder(user_folder())
+    folder = home and open_folder(home / "programs")
+    compiled = home and open_folder(home / "xla")
+    if compiled is not None:
+        jax.config.update("jax_compilation_cache_dir", str(compiled))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
 def open_folder(path: Path) -> Path | None:
     """A cache folder that nobody else can enter, made if need be; None, with a warning, where others may have written.
 
