@@ -198,6 +198,14 @@ def test_an_address_without_a_cluster_is_refused_at_once(monkeypatch):
 
 # Ray itself.
 
+
+def of_ray(test):
+    """Slow, and without warnings of what Ray does: it forks, beside JAX's threads, and leaves files open."""
+    for warning in ("ignore:os.fork:RuntimeWarning", "ignore::pytest.PytestUnraisableExceptionWarning"):
+        test = pytest.mark.filterwarnings(warning)(test)
+    return pytest.mark.slow(test)
+
+
 LENGTH = ["-n", str(12 * spec.CHUNK), "--duration", "0.5", "--seed", "5", "--worst", "1"]
 
 
@@ -263,7 +271,7 @@ def workers_of(node):
     return found
 
 
-@pytest.mark.slow
+@of_ray
 def test_a_worker_and_then_a_node_are_killed(nodes, command, tmp_path):
     """No row is lost, none is there twice, and every file is that of one process, to the last byte."""
     both, head, second = nodes
@@ -301,7 +309,7 @@ def test_a_worker_and_then_a_node_are_killed(nodes, command, tmp_path):
     assert found[0] == found[1]
 
 
-@pytest.mark.slow
+@of_ray
 def test_what_answers_but_is_no_cluster_ends_in_one_line(ray, command, tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as server:
         running = command(tmp_path / "run", "--cluster", f"127.0.0.1:{server.getsockname()[1]}")
@@ -309,7 +317,7 @@ def test_what_answers_but_is_no_cluster_ends_in_one_line(ray, command, tmp_path)
     assert running.returncode == 2 and "is no Ray cluster that this machine is a node of" in said.splitlines()[-1]
 
 
-@pytest.mark.slow
+@of_ray
 def test_a_cluster_of_this_machine_begins_and_ends_with_the_command(ray, command, tmp_path):
     before = set(Path("/proc").glob("[0-9]*"))
     out = tmp_path / "run"

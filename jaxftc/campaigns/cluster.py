@@ -33,8 +33,8 @@ def connect(address: str) -> Iterator[Cluster]:
         ValueError: ray is not installed, or no cluster answers there.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        from ray import init, shutdown  # names of it: any folder called ray can be imported
+    try:  # names of it, as any folder called ray can be imported
+        from ray import init, shutdown  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise ValueError(EXPLAIN) from error
     if address != LOCAL:
@@ -86,7 +86,7 @@ class Cluster:
     """The cluster that this process is connected to."""
 
     def __init__(self) -> None:
-        import ray
+        import ray  # pyright: ignore[reportMissingImports]
 
         self._ray, self._remote = ray, {}
 

@@ -33,6 +33,10 @@ NO_RESULT = (
     "check",
     "ticks",
     "cluster",
+    "distributed",
+    "coordinator",
+    "processes",
+    "process",
 )  # options that a result does not depend on
 NAMES = ("robot", "preset")  # options that are a name or a file
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage

@@ -104,11 +104,7 @@ def program(
     values = plain(leaves)
     exported = _exported(flat, values, f"{_circumstances()}{name}{tree}{impls}{[str(jax.typeof(v)) for v in values]}")
     call = functools.update_wrapper(lambda *leaves: exported.call(*leaves), fun)
-    kwargs = {}
-    if exported.nr_devices > 1:
-        mesh = jax.make_mesh((exported.nr_devices,), ("devices",), axis_types=(jax.sharding.AxisType.Auto,))
-        kwargs["in_shardings"] = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
-    run, structure = compiled(call, values, **kwargs), jax.tree.structure(like)
+    run, structure = compiled(call, values), jax.tree.structure(like)
     return lambda *args: jax.tree.unflatten(structure, run(*plain(jax.tree.leaves(args))))
 
 
