@@ -365,6 +365,23 @@ def test_what_cannot_be_run_is_refused_before_it_starts(loop, tmp_path):
         realtime.SafeStop(loop.config, brake=0.001)
 
 
+def test_the_tick_may_be_c_code(loop):
+    """The same commands, but for rounding; another backend is refused."""
+    if not native.compiler():
+        pytest.skip("needs a C compiler")
+    written = []
+    config, hold = loop.config, loop.reference
+    gains = jaxftc.default_gains(config)
+    for backend in ("xla", "c"):
+        clock = realtime.SimulatedClock()
+        own = realtime.Loop(config, gains, Arm(config.robot, clock), hold, clock=clock, stop=loop.stop, backend=backend)
+        own.run(0.05)
+        written.append(np.array([tau for _, tau in own.robot.written]))
+    np.testing.assert_allclose(written[1], written[0], rtol=1e-6, atol=1e-6)
+    with pytest.raises(ValueError, match="backend must be one of 'xla', 'c', got 'cuda'"):
+        realtime.Loop(config, gains, None, hold, backend="cuda")
+
+
 DT = 0.01
 TIMES = Reaction(confirm=0.03, latch=0.1, clear=0.05, heal=0.2)
 

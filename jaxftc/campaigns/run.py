@@ -71,6 +71,8 @@ def scores(
 ) -> online.Score:
     """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
     checks.instance("scenarios", scenarios, Scenario)
+    if at_a_time is not None:
+        checks.integer("at_a_time", at_a_time, 1, "None is one for each core")
     if np.ndim(scenarios.id) != 1:
         raise ValueError(
             "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
