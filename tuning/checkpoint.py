@@ -14,6 +14,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxftc.compile import processes
 from jaxftc.gains_file import header
 from jaxftc.io.files import read_sealed, write_sealed
 from jaxftc.scenarios.scenario import Scenario
@@ -46,8 +47,19 @@ def identity(
         "start": _digest(space.start),
         "scenarios": _digest((training, validation)),
         "key": _digest(jax.random.key_data(problem.key)),
-        "machine": {"jax": jax.__version__, "devices": jax.local_device_count()},
+        "machine": {"jax": jax.__version__, "devices": jax.device_count()},
     }
+
+
+def _same_everywhere(identity: dict[str, Any]) -> None:
+    """Refuse processes that were begun with different options or files; machines may draw scenarios a bit apart."""
+    told = json.dumps({name: value for name, value in identity.items() if name != "scenarios"})
+    theirs = json.loads(processes.from_first(told.encode()))
+    other = [name for name, value in json.loads(told).items() if theirs[name] != value]
+    if other:
+        raise ValueError(
+            f"process 0 has another {', '.join(other)} than this one; begin all with the same options and files"
+        )
 
 
 def write(path: Path, identity: dict[str, Any], arrays: dict[str, Any]) -> None:
@@ -57,16 +69,18 @@ def write(path: Path, identity: dict[str, Any], arrays: dict[str, Any]) -> None:
     write_sealed(path, data.getvalue())
 
 
-def read(path: Path, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
-    """The state, or None where there is none.
+def read(path: Path | None, identity: dict[str, Any]) -> dict[str, np.ndarray] | None:
+    """The state, or None where there is none; of several processes the first reads it.
 
     Raises:
         ValueError: the file is not a checkpoint as it was written, or of a run with other settings.
     """
-    if not path.exists():
-        return None
+    _same_everywhere(identity)
     try:
-        with np.load(io.BytesIO(read_sealed(path)), allow_pickle=False) as file:
+        data = processes.from_first(b"" if path is None or not path.exists() else read_sealed(path))
+        if not data:
+            return None
+        with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = dict(file)
         found = json.loads(str(arrays.pop("identity")))
     except (OSError, ValueError, KeyError, EOFError) as error:

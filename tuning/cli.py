@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import secrets
 import shlex
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -69,16 +71,39 @@ class Tune(common.Options):
     held_out_seed: int | None = None
     """Seed of those scenarios, whatever ``--seed`` is; if not given a fresh one, which result.json keeps."""
 
+    distributed: bool = False
+    """One run on several processes, begun by srun, mpirun or by hand with the next three options; each has a share of every
+    batch. The folder of --out is read and written by the first alone."""
+    coordinator: str | None = None
+    """HOST:PORT of the first process, where the launcher does not tell; any port there that is free."""
+    processes: int | None = None
+    """Number of processes, where the launcher does not tell."""
+    process: int | None = None
+    """Which one this is, from 0, where the launcher does not tell."""
+
     def run(self) -> None:
         """Tune, compare, write."""
+        if not self.distributed:
+            if (self.coordinator, self.processes, self.process) != (None, None, None):
+                raise ValueError("--coordinator, --processes and --process are for --distributed; give that too")
+            common.prepare(self, many=True, devices=True)
+            self._run()
+            return
+        from jaxftc.compile import processes
+
+        line = processes.begin(processes.place(self.coordinator, self.processes, self.process))
         common.prepare(self, many=True, devices=True)
+        with processes.together(line):
+            self._run()
+
+    def _run(self) -> None:
+        """What every process does, and what the first, or only, one does with it."""
         import jax
 
-        from jaxftc import Config, checks, load_preset, sample_scenarios, save_gains
-        from jaxftc.cli import record
-        from jaxftc.stages import staged
+        from jaxftc import Config, checks, load_preset, sample_scenarios
+        from jaxftc.compile import processes
         from jaxftc.variants import changes
-        from tuning import checkpoint, report, terms, transform
+        from tuning import terms, transform
         from tuning.held_out import compare
         from tuning.loop import fit
 
@@ -105,13 +130,9 @@ class Tune(common.Options):
         count = self.settings.steps * self.settings.batch
         training = sample_scenarios(train, count, preset, config=config)
         validation = sample_scenarios(validate, self.settings.validation, preset, config=config)
-        seed = secrets.randbits(31) if self.held_out_seed is None else self.held_out_seed
-        with common.folder(self, "tune", goes_on=True) as folder:
-            if self.force:
-                (folder / checkpoint.NAME).unlink(missing_ok=True)
-            if self.out is None:
-                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
-            with Bar(config) as bar:
+        seed, writes = self._held_out_seed(), processes.first()
+        with self._folder() if writes else contextlib.nullcontext() as folder:
+            with Bar(config, shown=writes) as bar:
                 result = fit(
                     config,
                     start,
@@ -126,17 +147,59 @@ class Tune(common.Options):
                     folder=folder,
                     on_round=bar.show,
                 )
-            save_gains(folder / "gains.toml", result.gains, config)
-            write_parquet(folder / "history.parquet", result.history)
             unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
             comparisons = compare(
                 config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
             )
-            same_seed = () if self.held_out_seed is not None else ("--held-out-seed", str(seed))
-            ran = record.of(self, config, more=same_seed)
-            told = as_json(result, comparisons, folder) | {"held_out_seed": seed, "provenance": ran}
-            text = common.write_json(folder / "result.json", told)
-            write_text(folder / "report.html", report.page_of(config, start, result, comparisons, ran))
+            if folder is None:
+                return
+            text = self._write(folder, config, start, result, comparisons, seed)
+        self._tell(folder, config, start, result, comparisons, seed)
+        if self.json:
+            print(text)
+
+    def _held_out_seed(self) -> int:
+        """The seed of the held-out scenarios, the same in all processes."""
+        from jaxftc.compile.processes import from_first
+
+        fresh = secrets.randbits(31) if self.held_out_seed is None else self.held_out_seed
+        return int(from_first(str(fresh).encode()))
+
+    @contextlib.contextmanager
+    def _folder(self) -> Iterator[Path]:
+        """The folder for results, and for what a stopped run has left."""
+        from tuning import checkpoint
+
+        with common.folder(self, "tune", goes_on=True) as folder:
+            if self.force:
+                (folder / checkpoint.NAME).unlink(missing_ok=True)
+            if self.out is None:
+                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
+            yield folder
+
+    def _write(
+        self, folder: Path, config: Config, start: Gains, result: Result, comparisons: list[Comparison], seed: int
+    ) -> str:
+        """All files; the text of result.json."""
+        from jaxftc import save_gains
+        from jaxftc.cli import record
+        from tuning import report
+
+        save_gains(folder / "gains.toml", result.gains, config)
+        write_parquet(folder / "history.parquet", result.history)
+        same_seed = () if self.held_out_seed is not None else ("--held-out-seed", str(seed))
+        ran = record.of(self, config, more=same_seed)
+        told = as_json(result, comparisons, folder) | {"held_out_seed": seed, "provenance": ran}
+        write_text(folder / "report.html", report.page_of(config, start, result, comparisons, ran))
+        return common.write_json(folder / "result.json", told)
+
+    def _tell(
+        self, folder: Path, config: Config, start: Gains, result: Result, comparisons: list[Comparison], seed: int
+    ) -> None:
+        """What came of it, for people."""
+        from jaxftc.stages import staged
+        from tuning import report
+
         common.say(self, summary(result, comparisons, seed))
         common.say(self, "\n".join(["", "gains, before -> after", *(report.moved(start, result.gains) or ["none moved"])]))
         common.say(self, f"\nWritten to {folder}: gains.toml, history.parquet, result.json, report.html")
@@ -146,19 +209,19 @@ class Tune(common.Options):
         if self.rules == "printed" and staged(config):  # what the command has options for
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
             common.say(self, f"See them at work: {' '.join(filter(None, words))}")
-        if self.json:
-            print(text)
 
 
 class Bar:
     """Progress on stderr: loss, gradient norm, time left, scenario steps a second (a gradient counts as several runs)."""
 
-    def __init__(self, config: Config) -> None:
+    def __init__(self, config: Config, *, shown: bool = True) -> None:
         from tqdm import tqdm
 
         self.ticks = config.ticks
         self.last: Progress | None = None
-        self.bar: tqdm[Any] = tqdm(desc="compiling, a minute or so the first time", unit="step", leave=False)
+        self.bar: tqdm[Any] = tqdm(
+            desc="compiling, a minute or so the first time", unit="step", leave=False, disable=not shown
+        )
 
     def __enter__(self) -> Bar:
         return self

@@ -95,7 +95,13 @@ class Descent:
         kind = "steps", *problem.kind, len(space.layout.leaves), mode, optimizer, mode == "reverse" or space.size
         self._round = shared(
             kind,
-            lambda: jit(gradient_steps, kind=problem.program_kind, cached_as=name if mode == "reverse" else None, like=like),
+            lambda: jit(
+                gradient_steps,
+                kind=problem.program_kind,
+                cached_as=name if mode == "reverse" else None,
+                like=like,
+                sharding=problem.sharding,
+            ),
         )
 
     def init(self, theta: np.ndarray, step: int = 0, rate: float = 1.0) -> State:

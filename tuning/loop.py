@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxftc.compile import processes
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.scenarios.scenario import Scenario, take
@@ -110,7 +111,8 @@ def fit(
         shared: What moves on all joints alike.
         settings: How to search.
         folder: Where a checkpoint is written after every round. A run that finds one goes on from
-            it, to the same gains bit for bit.
+            it, to the same gains bit for bit. Of several processes (``jax.distributed``) that of
+            the first counts.
         on_round: Called after every round with where it stands and the best gains so far.
 
     Returns:
@@ -129,14 +131,15 @@ def fit(
     problem = Problem(config, objective, key, settings.batch)
     check_terms("limit", objective, limits)
     run = _Run(problem, space, training, validation, settings, limits)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        run.resume_from(folder / checkpoint.NAME)
+    path = None if folder is None or not processes.first() else folder / checkpoint.NAME
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    run.resume_from(path)
     while not run.stopped:
         progress = run.round()
         on_round(progress, run.best_gains)
-        if folder is not None:
-            checkpoint.write(folder / checkpoint.NAME, run.identity, run.pack())
+        if path is not None:
+            checkpoint.write(path, run.identity, run.pack())
     return run.result()
 
 
@@ -278,7 +281,7 @@ class _Run:
             "texts": np.array([self.stopped, *self.events]),
         }
 
-    def resume_from(self, path: Path) -> None:
+    def resume_from(self, path: Path | None) -> None:
         """Take over the state of an earlier run, if there is one; its time counts on."""
         arrays = checkpoint.read(path, self.identity)
         if arrays is None:

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import stages
-from jaxftc.compile.devices import over_scenarios
+from jaxftc.compile.devices import everywhere, over_scenarios
 from jaxftc.compile.xla import Kind, jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
@@ -54,8 +54,10 @@ class Problem:
         # Programs are kept between processes where their names tell all of their code: a user's is not looked at.
         self.cached_as = _cached_as(*self.kind) if built and config.scheme in SCHEMES else None
         scores = over_scenarios(lambda given, split: self.terms(given[0], given[1], given[2], split), batch)
+        self.sharding = everywhere(batch)
         self._scores = shared(
-            ("scores", *self.kind), lambda: jit(scores, kind=self.program_kind, cached_as=self.cached_as, like=0)
+            ("scores", *self.kind),
+            lambda: jit(scores, kind=self.program_kind, cached_as=self.cached_as, like=0, sharding=self.sharding),
         )
 
     def scores(self, gains: Gains, scenarios: Scenario) -> np.ndarray:

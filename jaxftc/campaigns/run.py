@@ -34,7 +34,13 @@ MANY_LANES = 4096  # on a device with thousands of cores; two such blocks run at
 
 
 def campaign(
-    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+    config: Config,
+    gains: Gains,
+    scenarios: Scenario,
+    key: Array,
+    done: Callable[[int], object] = lambda count: None,
+    *,
+    at_a_time: int | None = None,
 ) -> dict[str, np.ndarray]:
     """Run scenarios through the closed loop and score them while they run, on all cores.
 
@@ -44,6 +50,7 @@ def campaign(
         scenarios: A set with a leading axis, as ``sample_scenarios`` draws it.
         key: Of the encoder noise; a scenario's noise depends on it and the scenario's id alone.
         done: Called with the number of runs that are newly through.
+        at_a_time: Programs that run at a time; one for each core of the process if None.
 
     Returns:
         Columns by name, a row a scenario (``docs/campaigns.md`` lists them).
@@ -51,14 +58,21 @@ def campaign(
     Raises:
         ValueError: gains or scenarios are of a wrong shape, not finite or outside their limits.
     """
-    return table.columns(config, scenarios, scores(config, gains, scenarios, key, done))
+    return table.columns(config, scenarios, scores(config, gains, scenarios, key, done, at_a_time))
 
 
 def scores(
-    config: Config, gains: Gains, scenarios: Scenario, key: Array, done: Callable[[int], object] = lambda count: None
+    config: Config,
+    gains: Gains,
+    scenarios: Scenario,
+    key: Array,
+    done: Callable[[int], object] = lambda count: None,
+    at_a_time: int | None = None,
 ) -> online.Score:
     """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
     checks.instance("scenarios", scenarios, Scenario)
+    if at_a_time is not None:
+        checks.integer("at_a_time", at_a_time, 1, "None is one for each core")
     if np.ndim(scenarios.id) != 1:
         raise ValueError(
             "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
@@ -77,7 +91,7 @@ def scores(
         return jax.tree.map(np.asarray, program(key, on, gains, piece)[0])
 
     pieces, starts = [], range(0, count, wide)
-    pool = ThreadPoolExecutor(_at_a_time())
+    pool = ThreadPoolExecutor(at_a_time or _at_a_time())
     try:
         for first, piece in zip(starts, pool.map(block, starts), strict=True):
             pieces.append(piece)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -67,8 +67,34 @@ def variant(base: Config, name: str) -> Config:
     return dataclasses.replace(base, **changes(name))  # pyright: ignore[reportArgumentType]
 
 
+Runner = Callable[[Job, Iterable[store.Chunk], Callable[[int], object]], None]  # it runs chunks and tells of their rows
+
+
+def here(job: Job, chunks: Iterable[store.Chunk], tell: Callable[[int], object]) -> None:
+    """Run chunks in this process, on all its cores, one after the other."""
+    for chunk in chunks:
+        store.keep(chunk, write(job, chunk, tell))
+
+
+def write(job: Job, chunk: store.Chunk, tell: Callable[[int], object], at_a_time: int | None = None) -> str:
+    """Run a chunk and write its file, whose SHA-256 it gives: the same bytes whenever, wherever and however often it runs.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    draws, noise = job.keys
+    scenarios = draw(job.preset, job.config, draws, chunk.ids)
+    rows = campaign(job.config, job.gains, scenarios, noise, tell, at_a_time=at_a_time)
+    return store.write_chunk(chunk, _named(job, rows))
+
+
 def complete(
-    folder: Path, job: Job, n: int, done: Callable[[int], object], note: Callable[[str], object] = lambda text: None
+    folder: Path,
+    job: Job,
+    n: int,
+    done: Callable[[int], object],
+    note: Callable[[str], object] = lambda text: None,
+    run: Runner = here,
 ) -> Progress:
     """Run what is missing of the first n scenarios of a folder that ``begin`` has seen.
 
@@ -77,25 +103,27 @@ def complete(
     Raises:
         OSError: a chunk cannot be written; those before it are there.
     """
-    draws, noise = job.keys
     kept, marks = 0, []
 
     def tell(count: int) -> None:
         marks.append((time.perf_counter(), count))
         done(count)
 
-    for chunk in store.chunks(folder, n, store.read_manifest(folder)["chunk"]):
-        fault = store.fault_of(chunk)
-        if fault is None:
-            kept += chunk.rows
-            done(chunk.rows)
-            continue
-        if fault == store.SHORTER:
-            note(f"{chunk.path.name} is of a shorter campaign; it is run whole")
-        elif fault != store.ABSENT:
-            note(f"{chunk.path.name} is {fault}; its rows are run again")
-        rows = campaign(job.config, job.gains, draw(job.preset, job.config, draws, chunk.ids), noise, tell)
-        store.write_chunk(chunk, _named(job, rows))
+    def missing() -> Iterator[store.Chunk]:
+        nonlocal kept
+        for chunk in store.chunks(folder, n, store.read_manifest(folder)["chunk"]):
+            fault = store.fault_of(chunk)
+            if fault is None:
+                kept += chunk.rows
+                done(chunk.rows)
+                continue
+            if fault == store.SHORTER:
+                note(f"{chunk.path.name} is of a shorter campaign; it is run whole")
+            elif fault != store.ABSENT:
+                note(f"{chunk.path.name} is {fault}; its rows are run again")
+            yield chunk
+
+    run(job, missing(), tell)
     ran = sum(count for _, count in marks)
     rate = None
     if len(marks) > 1:

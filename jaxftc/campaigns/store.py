@@ -18,7 +18,7 @@ import numpy as np
 import tomli_w
 
 from jaxftc.io import checksums, tables
-from jaxftc.io.files import write_text
+from jaxftc.io.files import digest, write_text
 from jaxftc.io.folder import differences
 from jaxftc.io.toml import read_toml
 
@@ -144,14 +144,19 @@ def fault_of(chunk: Chunk) -> str | None:
     return None if rows >= chunk.rows else SHORTER
 
 
-def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> None:
-    """Whole or not at all, then its checksum.
+def write_chunk(chunk: Chunk, rows: dict[str, np.ndarray]) -> str:
+    """Write the file whole or not at all; its SHA-256, without which it is not used (``keep``).
 
     Raises:
         OSError: the disk is full, or the folder cannot be written.
     """
     tables.write_parquet(chunk.path, rows)
-    checksums.record(chunk.path.parent, {chunk.path.name: None})
+    return digest(chunk.path)
+
+
+def keep(chunk: Chunk, sha256: str) -> None:
+    """Add the checksum of a chunk that was written: one process's work, as all checksums are in one file."""
+    checksums.add(chunk.path.parent, {chunk.path.name: sha256})
 
 
 def read_rows(folder: Path, n: int, first: int = 0) -> dict[str, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import shlex
 from pathlib import Path
@@ -13,6 +14,7 @@ from jaxftc.cli import common
 from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
+    from jaxftc.campaigns.cluster import Cluster
     from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
 
@@ -79,6 +81,9 @@ class Campaign(Laws):
     gains stay."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
+    cluster: str | None = None
+    """Run on the CPU cores of a Ray cluster: local, for one on this machine, or HOST:PORT of its head node. All machines
+    share the folder of --out."""
 
     def run(self) -> None:
         """Run what is missing, then read all rows; write summary and report."""
@@ -87,7 +92,12 @@ class Campaign(Laws):
         checks.integer("-n", self.n, 1, "it is the number of scenarios")
         checks.integer("--worst", self.worst, 0, "it is the number of traces in the report")
         names = self._names()
-        common.prepare(self, many=True)
+        with self._workers() as workers:
+            self._run(names, workers)
+
+    def _run(self, names: list[str], workers: Cluster | None) -> None:
+        """Run the schemes; workers are of the cluster, if one was asked for."""
+        common.prepare(self, many=True, platform=None if self.cluster is None else "cpu")
         import json
 
         from jaxftc.campaigns import store
@@ -114,7 +124,7 @@ class Campaign(Laws):
             found: dict[str, dict[str, Any]] = {}
             for name, job in jobs.items():
                 folders[name].mkdir(exist_ok=True)
-                found[name] = self._one(folders[name], job, requests[name], share)
+                found[name] = self._one(folders[name], job, requests[name], share, workers)
             common.say(self, comparison.as_text(found))
             if self.compare:
                 rows = {name: store.Columns(folders[name], self.n) for name in names}
@@ -130,6 +140,14 @@ class Campaign(Laws):
         common.say(self, f"\nWritten to {folder}: {rows_at}, summary.json, report.html")
         if self.json:
             print(text)
+
+    def _workers(self) -> contextlib.AbstractContextManager[Cluster | None]:
+        """The cluster that was asked for; Ray begins processes, which JAX does not want to see once it has begun itself."""
+        if self.cluster is None:
+            return contextlib.nullcontext()
+        from jaxftc.campaigns.cluster import connect
+
+        return connect(self.cluster)
 
     def _names(self) -> list[str]:
         """Schemes to run, the one that the others are held against first."""
@@ -157,13 +175,16 @@ class Campaign(Laws):
             else:
                 store.empty(own)
 
-    def _one(self, folder: Path, job: Job, request: dict[str, Any], share: float | None) -> dict[str, Any]:
+    def _one(
+        self, folder: Path, job: Job, request: dict[str, Any], share: float | None, workers: Cluster | None
+    ) -> dict[str, Any]:
         """One scheme: thresholds, missing rows, summary and report of its own."""
         from tqdm import tqdm
 
         from jaxftc.campaigns import store
         from jaxftc.campaigns.calibrate import by_joint
-        from jaxftc.campaigns.spec import begin, complete, worst
+        from jaxftc.campaigns.spec import begin, complete, here, worst
+        from jaxftc.campaigns.tasks import spread
         from jaxftc.cli import record
         from jaxftc.evaluation import summary
         from jaxftc.report import campaign
@@ -173,7 +194,14 @@ class Campaign(Laws):
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
             job, manifest = begin(folder, job, request, share, bar.update, note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
-            progress = complete(folder, job, self.n, bar.update, note)
+
+            def done(count: int) -> None:
+                if workers is not None:
+                    bar.set_postfix_str(f"nodes {workers.nodes}, cores {workers.cores}", refresh=False)
+                bar.update(count)
+
+            run = here if workers is None else spread(workers, cached=self.cache)
+            progress = complete(folder, job, self.n, done, note, run)
         rows = store.Columns(folder, self.n)
         result = summary.summarise(rows, name) | {"scenario_steps_per_s": progress.rate, "rows_kept": progress.kept}
         calibration = manifest.get("calibration")

@@ -24,7 +24,20 @@ if TYPE_CHECKING:
     from jaxftc.robot.arm_table import Arm
     from jaxftc.robot.model import Robot
 
-NO_RESULT = ("out", "json", "cache", "force", "words", "check", "ticks")  # options that a result does not depend on
+NO_RESULT = (
+    "out",
+    "json",
+    "cache",
+    "force",
+    "words",
+    "check",
+    "ticks",
+    "cluster",
+    "distributed",
+    "coordinator",
+    "processes",
+    "process",
+)  # options that a result does not depend on
 NAMES = ("robot", "preset")  # options that are a name or a file
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
 
@@ -88,12 +101,19 @@ def _import_mujoco() -> None:
         del os.environ["MUJOCO_GL"]
 
 
-def prepare(options: Output, *, many: bool = False, devices: bool = False, engine: str | None = None) -> None:
+def prepare(
+    options: Output,
+    *,
+    many: bool = False,
+    devices: bool = False,
+    engine: str | None = None,
+    platform: str | None = None,
+) -> None:
     """Settings that a command may make of its process: XLA's flags and log, the compilation cache, the garbage collector.
 
     ``many`` is for commands that run many scenarios side by side: ``configure_xla``. Programs for single arms take longer to
     compile with it. ``engine`` is what they run on, if not the options'. ``devices`` makes each core a device, for commands
-    that spread one program over them.
+    that spread one program over them. ``platform`` is where JAX runs, if not where it would.
     XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
@@ -101,6 +121,8 @@ def prepare(options: Output, *, many: bool = False, devices: bool = False, engin
     _import_mujoco()
     import jax
 
+    if platform is not None:
+        jax.config.update("jax_platforms", platform)
     if devices:
         from jaxftc.compile.devices import cores
 
@@ -114,12 +136,7 @@ def prepare(options: Output, *, many: bool = False, devices: bool = False, engin
     if options.cache:
         from jaxftc.compile import program_cache
 
-        home = program_cache.open_folder(program_cache.user_folder())
-        program_cache.folder = home and program_cache.open_folder(home / "programs")
-        compiled = home and program_cache.open_folder(home / "xla")
-        if compiled is not None:
-            jax.config.update("jax_compilation_cache_dir", str(compiled))
-            jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+        program_cache.keep()
 
 
 def look_here_for(scheme: str) -> None:

@@ -1,4 +1,4 @@
-"""Scenarios over devices: the last axis is split, nothing is exchanged while a run lasts."""
+"""Scenarios over devices, those of other processes too: the last axis is split, nothing is exchanged while a run lasts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, PartitionSpec
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 AXIS = "scenarios"
 
@@ -18,20 +18,35 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def devices_for(count: int) -> int:
-    """Devices that a number of scenarios is spread over: the largest number of them that divides it."""
-    return next(d for d in range(min(len(jax.local_devices()), count), 0, -1) if count % d == 0)
+def mesh_for(count: int) -> Mesh:
+    """Devices that a number of scenarios is spread over: as many of each process, the largest number that divides it.
+
+    Raises:
+        ValueError: it is no multiple of the number of processes.
+    """
+    own: dict[int, list[Any]] = {}
+    for device in jax.devices():
+        own.setdefault(device.process_index, []).append(device)
+    fits = [k for k in range(1, min(map(len, own.values())) + 1) if count % (k * len(own)) == 0]
+    if not fits:
+        raise ValueError(f"batch must be a multiple of the number of processes, {len(own)}, got {count}")
+    return Mesh(np.array([device for devices in own.values() for device in devices[: fits[-1]]]), (AXIS,))
+
+
+def everywhere(count: int) -> NamedSharding | None:
+    """Of arrays that each device of ``mesh_for`` has whole; None where there is only one."""
+    mesh = mesh_for(count)
+    return None if mesh.size == 1 else NamedSharding(mesh, PartitionSpec())
 
 
 def over_scenarios(fun: Callable[[Any, Any], Any], count: int) -> Callable[[Any, Any], Any]:
     """``fun(shared, split)`` with the last axis of every leaf of ``split``, and of the result, spread over the devices.
 
-    ``count`` is the number of scenarios, see ``devices_for``. Differentiable in ``split``.
+    ``count`` is the number of scenarios, see ``mesh_for``. Differentiable in ``split``.
     """
-    use = devices_for(count)
-    if use == 1:
+    mesh = mesh_for(count)
+    if mesh.size == 1:
         return fun
-    mesh = Mesh(np.asarray(jax.local_devices()[:use]), (AXIS,))
 
     def last_axis(leaf: Any) -> PartitionSpec:
         return PartitionSpec(*[None] * (leaf.ndim - 1), AXIS)

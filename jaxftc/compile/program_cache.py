@@ -41,6 +41,17 @@ def user_folder() -> Path:
     return (Path(named) if os.path.isabs(named) else Path.home() / ".cache") / "jaxftc"
 
 
+def keep() -> None:
+    """Keep programs, traced and compiled, in the user's cache folder: for a process that is a command's own."""
+    global folder
+    home = open_folder(user_folder())
+    folder = home and open_folder(home / "programs")
+    compiled = home and open_folder(home / "xla")
+    if compiled is not None:
+        jax.config.update("jax_compilation_cache_dir", str(compiled))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+
+
 def open_folder(path: Path) -> Path | None:
     """A cache folder that nobody else can enter, made if need be; None, with a warning, where others may have written.
 
@@ -93,11 +104,7 @@ def program(
     values = plain(leaves)
     exported = _exported(flat, values, f"{_circumstances()}{name}{tree}{impls}{[str(jax.typeof(v)) for v in values]}")
     call = functools.update_wrapper(lambda *leaves: exported.call(*leaves), fun)
-    kwargs = {}
-    if exported.nr_devices > 1:
-        mesh = jax.make_mesh((exported.nr_devices,), ("devices",), axis_types=(jax.sharding.AxisType.Auto,))
-        kwargs["in_shardings"] = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
-    run, structure = compiled(call, values, **kwargs), jax.tree.structure(like)
+    run, structure = compiled(call, values), jax.tree.structure(like)
     return lambda *args: jax.tree.unflatten(structure, run(*plain(jax.tree.leaves(args))))
 
 

@@ -197,6 +197,7 @@ def jit(
     static_argnums: int | Sequence[int] = (),
     cached_as: str | None = None,
     like: Any = None,
+    sharding: Any = None,
 ) -> Any:
     """``jax.jit`` with this library's options; arguments by position.
 
@@ -211,21 +212,29 @@ def jit(
         static_argnums: Positions of arguments that are fixed when tracing.
         cached_as: Name of the program across processes, see above.
         like: Structure of its results, see above.
+        sharding: Of every argument and every result, where JAX is not to choose it.
     """
     static = (static_argnums,) if isinstance(static_argnums, int) else tuple(static_argnums)
-    return _Jitted(fun, kind, static, cached_as, like)
+    return _Jitted(fun, kind, static, cached_as, like, sharding)
 
 
 class _Jitted:
     """What ``jit`` returns: programs by static values and by structure, shapes and types of the arrays."""
 
     def __init__(
-        self, fun: Callable[..., Any], kind: Kind, static: tuple[int, ...], cached_as: str | None, like: Any
+        self,
+        fun: Callable[..., Any],
+        kind: Kind,
+        static: tuple[int, ...],
+        cached_as: str | None,
+        like: Any,
+        sharding: Any,
     ) -> None:
         functools.update_wrapper(self, fun)
         self._fun, self._static = fun, static
         self._kind: Kind = kind
         self._cached_as, self._like = cached_as, like
+        self._shardings = {} if sharding is None else {"in_shardings": sharding, "out_shardings": sharding}
         self._inlined = jax.jit(fun, static_argnums=self._static)
         self._programs: dict[Any, Any] = {}
         self._lock = threading.Lock()
@@ -256,11 +265,10 @@ class _Jitted:
             return self._fun(*(fixed[k] if k in fixed else next(rest) for k in range(count)))
 
         functools.update_wrapper(fun, self._fun)
+        compiled = functools.partial(_program, kind=self._kind, **self._shardings)
         if self._cached_as is not None and program_cache.folder is not None:
-            return program_cache.program(
-                fun, arrays, f"{self._cached_as}{static}", self._like, functools.partial(_program, kind=self._kind)
-            )
-        return _program(fun, arrays, kind=self._kind)
+            return program_cache.program(fun, arrays, f"{self._cached_as}{static}", self._like, compiled)
+        return compiled(fun, arrays)
 
 
 def _program(fun: Callable[..., Any], examples: Sequence[Any], *, kind: Kind, **kwargs: Any) -> Any:

@@ -20,8 +20,12 @@ def agrees(path: Path) -> bool:
 
 def record(folder: Path, files: dict[str, str | None]) -> None:
     """Add checksums: of a text that a file is to hold, or, where it is None, of the file that is there."""
-    new = {name: digest(folder / name) if text is None else _of_text(text) for name, text in files.items()}
-    lines = [f"{value}  {name}\n" for name, value in sorted((_read(folder) | new).items())]
+    add(folder, {name: digest(folder / name) if text is None else _of_text(text) for name, text in files.items()})
+
+
+def add(folder: Path, values: dict[str, str]) -> None:
+    """Add checksums that are known, by the file's name."""
+    lines = [f"{value}  {name}\n" for name, value in sorted((_read(folder) | values).items())]
     write_text(folder / NAME, "".join(lines))
 
 

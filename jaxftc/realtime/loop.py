@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -65,9 +65,10 @@ class Loop:
         event_file: File to which every change is appended, a JSON line each.
         on_tick: Called with t in s and the ``Output`` when a command has been written.
         clock: The computer's, or one of your own.
+        backend: Of the ``Tick``: ``c``, where there is a C compiler, leaves most of a period to the robot's driver.
 
     Raises:
-        ValueError: the gains or the file are refused.
+        ValueError: the gains or the file are refused, or there is no C compiler for ``backend="c"``.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class Loop:
         event_file: str | Path | None = None,
         on_tick: Callable[[float, Output], object] | None = None,
         clock: Clock | None = None,
+        backend: Literal["xla", "c"] = "xla",
     ) -> None:
         checks.instance("config", config, Config)
         checks.instance("gains", gains, Gains)
@@ -90,7 +92,7 @@ class Loop:
         self.trips = Trips() if trips is None else trips
         self.reaction = Reaction() if reaction is None else reaction
         self.clock: Clock = SystemClock() if clock is None else clock
-        self.tick = Tick(config, gains)
+        self.tick = Tick(config, gains, backend=backend)
         self._safe: Stop = SafeStop(config)
         self.stop = self._safe if stop is None else stop
         self.on_tick, self.event_file = on_tick, event_file

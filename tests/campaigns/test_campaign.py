@@ -100,7 +100,7 @@ def test_columns_read_one_by_one_are_those_of_the_rows(folder, tmp_path, monkeyp
         shutil.copy(out / name, tmp_path)
     store.write_manifest(tmp_path, store.read_manifest(out) | {"chunk": 64})
     for chunk in store.chunks(tmp_path, 300, 64):
-        store.write_chunk(chunk, {name: column[chunk.ids] for name, column in rows.items()})
+        store.keep(chunk, store.write_chunk(chunk, {name: column[chunk.ids] for name, column in rows.items()}))
     assert_same_rows(dict(store.Columns(tmp_path, 300)), rows)
     assert_same_rows(dict(store.Columns(tmp_path, 70)), {name: column[:70] for name, column in rows.items()})
     columns = store.Columns(tmp_path, 300)
@@ -281,7 +281,7 @@ def test_what_keeps_a_chunk_from_being_used(tmp_path):
     chunk = store.Chunk(tmp_path / "chunk-000002.parquet", 20, 10)
     assert store.fault_of(chunk) == store.ABSENT
     for ids, fault in ((np.arange(20, 30), None), (np.arange(20, 40), None), (np.arange(20, 29), store.SHORTER)):
-        store.write_chunk(chunk, {"scenario_id": ids})
+        store.keep(chunk, store.write_chunk(chunk, {"scenario_id": ids}))
         assert store.fault_of(chunk) == fault
     write_parquet(chunk.path, {"scenario_id": np.arange(20, 30)})
     assert store.fault_of(chunk) == store.DAMAGED, "whose is it?"

@@ -81,7 +81,10 @@ def filled(folder, config, kind="normal"):
     _, manifest = spec.begin(folder, job, {"scheme": "cascade", "seed": 3}, None)
     store.write_manifest(folder, manifest | {"chunk": 10})
     for chunk in store.chunks(folder, 20, 10):
-        store.write_chunk(chunk, {"scenario_id": chunk.ids, "kind": np.array([kind] * 10), "delay_s": chunk.ids / 7})
+        store.keep(
+            chunk,
+            store.write_chunk(chunk, {"scenario_id": chunk.ids, "kind": np.array([kind] * 10), "delay_s": chunk.ids / 7}),
+        )
     return folder
 
 

@@ -341,7 +341,7 @@ def state(config, tmp_path_factory):
     _, manifest = spec.begin(folder, job, {"scheme": "cascade", "seed": 3}, None)
     store.write_manifest(folder, manifest | {"chunk": 10})
     for chunk in store.chunks(folder, 20, 10):
-        store.write_chunk(chunk, {"scenario_id": chunk.ids, "delay_s": chunk.ids / 7})
+        store.keep(chunk, store.write_chunk(chunk, {"scenario_id": chunk.ids, "delay_s": chunk.ids / 7}))
     checkpoint.write(folder / checkpoint.NAME, {"a": 1}, {"x": np.arange(9.0)})
     (folder / MARK).write_text(json.dumps({"command": "campaign", "request": {"seed": 3}}))
     names = [path.name for path in folder.iterdir()]

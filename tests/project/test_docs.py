@@ -38,6 +38,8 @@ REDUCED = {  # options added to the printed commands before they run here: their
 NOT_RUN = {  # lines that do not run here, and why
     "pip install": "the environment that runs this is what they make",
     "pytest": "this is part of it",
+    "jaxftc campaign -n 100000 --cluster local": "it needs ray: test_cluster",
+    "jaxftc campaign -n 1000000 --cluster node1": "it needs two machines",
     "python docs/tutorial.py": "test_the_tutorial_runs",
     "python -m benchmarks.chart": "it draws over the committed chart, which test_benchmarks holds against the results",
     "jaxftc bench --gate": "it refuses small sizes: a comparison with the committed baseline is a quarter of an hour",

@@ -56,7 +56,7 @@ def arm(tmp_path_factory) -> Path:
 @pytest.mark.parametrize(("group", "requirement"), DEPENDENCIES, ids=str)
 def test_every_dependency_has_a_lower_bound_that_is_kept(group, requirement):
     assert requirement.name == "jaxftc" or {each.operator for each in requirement.specifier} & {">=", "=="}
-    if group not in ("dev", "gym"):  # tests of gymnasium are skipped where it is not installed
+    if group not in ("cluster", "dev", "gym"):  # tests of ray and gymnasium are skipped where they are not installed
         assert version(requirement.name) in requirement.specifier
 
 
