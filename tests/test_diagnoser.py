@@ -294,6 +294,16 @@ def test_diagnose_writes_the_timeline(files, capsys):
     assert "shoulder_joint" in page and "Residuals and events" in page
 
 
+def test_columns_that_do_not_fit_are_said_and_not_refused(files, arm, log):
+    """A fault may look like a wrong column: a frozen angle like a swapped one."""
+    columns = {"t": log.t} | {f"q{j + 1}": log.q[:, j] for j in range(3)}
+    columns |= {f"tau{j + 1}": sign * log.tau[:, j] for j, sign in enumerate((1, -1, 1))}
+    path = small_logs.write(files / "odd.csv", columns)
+    with pytest.raises(ValueError, match="takes the columns as they are"):
+        logs.read(path, arm)
+    assert any("unless that is the fault" in note for note in logs.read(path, arm, faulty=True).notes)
+
+
 def test_a_long_recording_is_read_piece_by_piece(files, arm, config, calibration, monkeypatch):
     whole = [logs.read(files / "log.csv", arm)]
     monkeypatch.setattr(pieces, "PIECE", 700)

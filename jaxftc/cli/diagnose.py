@@ -102,6 +102,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             "degrees": self.degrees,
             "torque_per_ampere": self.torque_per_ampere or None,
             "check": self.check,
+            "faulty": True,
         }
 
     def _gains(self, arm: Arm, config: Config) -> Any:
