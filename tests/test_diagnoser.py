@@ -125,7 +125,20 @@ def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
     q[ON] = 0.5 * (q[ON] + q[ON - 1])
     late[ON:, 0] += 0.02
     assert not (logs.diagnose(config, calibration.gains, log._replace(q=q)).verdict & jaxftc.Verdict.SENSOR).any()
-    assert logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[ON, 0] == jaxftc.Verdict.SENSOR
+    verdict = logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[:, 0]
+    assert verdict[ON] == jaxftc.Verdict.NORMAL and verdict[ON + 1] == jaxftc.Verdict.SENSOR
+
+
+@pytest.mark.parametrize("back", [1, 2])
+def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
+    """It is off for a tick, or to one side and then to the other, and right again."""
+    q = log.q.copy()
+    q[ON, 1] += 0.03
+    q[ON + 1, 1] -= 0.03 * (back - 1)
+    said = logs.diagnose(config, calibration.gains, log._replace(q=q))
+    assert np.abs(said.jump[ON, 1]) > 0.02 and not said.verdict.any()
+    healthy = logs.diagnose(config, calibration.gains, log)
+    np.testing.assert_allclose(said.q_hat[ON + 30 :], healthy.q_hat[ON + 30 :], atol=1e-3)
 
 
 def test_without_torques_the_readings_are_judged(config, calibration, log):
@@ -153,9 +166,12 @@ def test_a_step_is_pure_and_may_be_jitted_and_mapped(config, calibration, log):
     state = diagnoser.init(log.q[0])
     for k in range(30):
         state, said = step(state, log.q[k], log.tau[k])
-    two = jax.jit(jax.vmap(diagnoser.step, in_axes=(None, 0, None)))
-    two, one = two(state, jnp.stack([log.q[30], log.q[30] + 0.1]), log.tau[30])[1], step(state, log.q[30], log.tau[30])[1]
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
+    step_both = jax.jit(jax.vmap(diagnoser.step, in_axes=(0, 0, None)))
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    for k in (30, 31):
+        states, two = step_both(states, jnp.stack([log.q[k], log.q[k] + 0.1]), log.tau[k])
+        state, one = step(state, log.q[k], log.tau[k])
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
     assert one.verdict.tolist() == [0, 0, 0] and (two.verdict[1] == 2).all()
     assert isinstance(said, Diagnosis)
 

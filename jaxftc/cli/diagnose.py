@@ -67,7 +67,6 @@ class Diagnose(LogOptions, common.ArmOptions):
         ):
             for log, begins, goes_on in pieces(path, arm, lambda dt: log_config(arm.robot, dt), **self._reading()):
                 notes += [note for note in log.notes if note not in notes]
-                log = without_offset(log, arm)
                 if stream is None:
                     config = log_config(arm.robot, log.dt or 1e-3)
                     stream = Stream(config, self._gains(arm, config))
@@ -159,14 +158,6 @@ def log_config(robot: Any, dt: float) -> Config:
     from jaxftc import Config
 
     return Config(robot, dt=dt, t_final=dt, engine="chain")
-
-
-def without_offset(log: Log, arm: Arm) -> Log:
-    """The log with the torque offset of the arm's file taken off."""
-    import numpy as np
-
-    offset = arm.recording.torque_offset
-    return log if offset is None else log._replace(tau=np.asarray(log.tau) - np.asarray(offset))
 
 
 def np_arange(count: int) -> Any:
