@@ -310,6 +310,19 @@ def test_diagnose_writes_the_timeline(files, capsys):
     assert "shoulder_joint" in page and "Residuals and events" in page
 
 
+def test_a_log_is_brought_to_the_sample_time_of_the_gains(files, arm, capsys):
+    columns = small_logs.table(arm_file(arm), 8.0, 0.8 / DT, 4)
+    columns |= {f"tau{j + 1}": columns[f"tau{j + 1}"] - offset for j, offset in enumerate(small_logs.OFFSET)}
+    log = str(small_logs.write(files / "slower.csv", columns))
+    given = ["diagnose", log, "--robot", str(files), "--gains", str(files / "gains.toml"), "--json", "--out"]
+    main([*given, str(files / "brought")])
+    said = json.loads(capsys.readouterr().out)
+    assert said["sample_time_s"] == DT and not said["events"]
+    with pytest.raises(SystemExit):  # a sample time that was asked for is not replaced
+        main([*given, str(files / "refused"), "--dt=0.0125"])
+    assert "holds gains for another dt" in capsys.readouterr().err
+
+
 def test_columns_that_do_not_fit_are_said_and_not_refused(files, arm, log):
     """A fault may look like a wrong column: a frozen angle like a swapped one."""
     columns = {"t": log.t} | {f"q{j + 1}": log.q[:, j] for j in range(3)}

@@ -15,7 +15,6 @@ from jaxftc.cli.identify import LogOptions, column_names
 
 if TYPE_CHECKING:
     from jaxftc.config import Config
-    from jaxftc.logs.log import Log
     from jaxftc.robot.arm_file import Arm
 
 SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
@@ -65,7 +64,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             Samples(folder / "samples.parquet", names) as samples,
             tqdm(total=rows(path), desc="diagnose", unit="row", unit_scale=True, leave=False) as bar,
         ):
-            for log, begins, goes_on in pieces(path, arm, lambda dt: log_config(arm.robot, dt), **self._reading()):
+            for log, begins, goes_on in pieces(path, *self._wanted(arm), **self._reading(arm)):
                 notes += [note for note in log.notes if note not in notes]
                 if stream is None:
                     config = log_config(arm.robot, log.dt or 1e-3)
@@ -94,8 +93,16 @@ class Diagnose(LogOptions, common.ArmOptions):
         )
         return common.write_json(folder / "result.json", record)
 
-    def _reading(self) -> dict[str, Any]:
+    def _wanted(self, arm: Arm) -> tuple[Any, Any]:
+        """What ``pieces`` reads the log for: the arm at the log's own sample time, or at that of the gains."""
+        from jaxftc.gains_file import sample_time
+
+        dt = None if self.dt is not None or self.gains is None else sample_time(self.gains)
+        return arm if dt is None else log_config(arm.robot, dt), lambda own: log_config(arm.robot, own)
+
+    def _reading(self, arm: Arm) -> dict[str, Any]:
         return {
+            "recording": arm.recording,
             "columns": column_names(self.columns),
             "dt": self.dt,
             "degrees": self.degrees,

@@ -92,11 +92,9 @@ class Estimate(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
-    zero, one = jnp.zeros_like(q), jnp.ones_like(q)
-    model = arx.init(config, gains, q)
-    return State(
-        model, zero, zero, zero, zero, zero, q, q, q, zero, zero, zero, zero, zero, q, one, zero, zero, zero, zero, zero, zero
-    )
+    fields = dict.fromkeys(State._fields, jnp.zeros_like(q))
+    fields |= dict.fromkeys(("q1", "q2", "q3", "reading"), q)
+    return State(**fields | {"arx": arx.init(config, gains, q), "least": jnp.ones_like(q)})
 
 
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Estimate]:
@@ -143,7 +141,8 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     angles = [(b - kept) + q for q in (q_hat, state.q1 + shift, state.q2 + shift)]
     state = state._replace(
         arx=arx.State(x_a, x_b), psi=psi, qd=qd, mean_speed=mean_speed, b=kept, e=e, unread=unread, known=known, run=run,
-        held=jnp.where(aside, state.held + 1, 0.0), q1=angles[0], q2=angles[1], q3=angles[2], drifts=drifts.astype(q_hat.dtype),
+        held=jnp.where(aside, state.held + 1, 0.0), q1=angles[0], q2=angles[1], q3=angles[2],
+        drifts=drifts.astype(q_hat.dtype),
     )  # fmt: skip
     state = _freeze(config, state, inputs, absent)
     frozen = state.frozen > 0
