@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxftc.config import Config
     from jaxftc.robot.arm_file import Arm
 
+MEMORY = "256MB"  # of the table of samples, which is on disk
 SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
 
 
@@ -131,7 +132,7 @@ class Samples:
 
         self._aside = self.path.with_name(self.path.name + ".rows")
         self._aside.unlink(missing_ok=True)
-        self._rows = duckdb.connect(str(self._aside))
+        self._rows = duckdb.connect(str(self._aside), config={"memory_limit": MEMORY})  # else most of the machine's
         columns = ["t double"] + [
             f'"{s}_{j}" {"tinyint" if s == "verdict" else "float"}' for s in SIGNALS for j in self.joints
         ]

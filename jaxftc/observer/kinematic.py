@@ -92,9 +92,8 @@ class Estimate(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
-    fields = dict.fromkeys(State._fields, jnp.zeros_like(q))
-    fields |= dict.fromkeys(("q1", "q2", "q3", "reading"), q)
-    return State(**fields | {"arx": arx.init(config, gains, q), "least": jnp.ones_like(q)})
+    rest = State(arx.init(config, gains, q), *[jnp.zeros_like(q)] * (len(State._fields) - 1))
+    return rest._replace(q1=q, q2=q, q3=q, reading=q, least=jnp.ones_like(q))
 
 
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Estimate]:
