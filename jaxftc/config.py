@@ -22,6 +22,10 @@ TIMES = {
 }  # s, and at least so many ticks
 
 
+class _ByTime(int):
+    """Ticks that were not given: with another dt, as of ``dataclasses.replace``, there are others."""
+
+
 @dataclasses.dataclass(frozen=True)
 class Config:
     """Robot, structure and timing. Everything that tuning may change is in ``Gains`` instead.
@@ -80,8 +84,8 @@ class Config:
             raise ValueError(f"robot must be a Robot, got {type(self.robot).__name__}; call puma560() or load_robot(path)")
         checks.positive("dt", self.dt, "seconds")
         for name, (seconds, least) in TIMES.items():
-            if getattr(self, name) is BY_TIME:
-                object.__setattr__(self, name, max(least, round(seconds / self.dt)))
+            if getattr(self, name) is BY_TIME or isinstance(getattr(self, name), _ByTime):
+                object.__setattr__(self, name, _ByTime(max(least, round(seconds / self.dt))))
         checks.positive("t_final", self.t_final, "seconds")
         checks.multiple("t_final", self.t_final, self.dt)
         if self.duration is not None:

@@ -80,6 +80,17 @@ def load_gains(path: str | Path, config: Config) -> Gains:
         raise ValueError(f"{path}: {error}") from error
 
 
+def sample_time(path: str | Path) -> float | None:
+    """Sample time in s that the gains of a file belong to, if the file says it.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    made_with = read_toml(path, "gains").get("made_with")
+    dt = made_with.get("dt") if isinstance(made_with, dict) else None
+    return float(dt) if isinstance(dt, float) and dt > 0 else None
+
+
 def header(config: Config) -> dict[str, Any]:
     """What gains belong to."""
     return {

@@ -95,11 +95,11 @@ class Calibrate(Laws):
         from jaxftc.campaigns.calibrate import by_joint
         from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
         from jaxftc.cli import record
-        from jaxftc.cli.diagnose import log_config, without_offset
+        from jaxftc.cli.diagnose import log_config
         from jaxftc.cli.identify import read_logs
 
         arm = common.whole_arm(self.robot, self.tip, self.lock)
-        logs = [without_offset(log, arm) for log in read_logs(self, self.logs, arm)]
+        logs = read_logs(self, self.logs, arm)
         config = log_config(arm.robot, logs[0].dt or 1e-3)
         logs = one_rate(self, logs, arm, config)
         if self.gains is None:
@@ -136,18 +136,10 @@ def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> l
     kept = []
     for path, log in zip(options.logs, logs, strict=True):
         if abs((log.dt or config.dt) - config.dt) > 1e-6 * config.dt:
-            again = module.read(path, config, recording=arm.recording, check=False)
-            log = without_offset_of(again, arm)
+            log = module.read(path, config, recording=arm.recording, check=False)
             common.say(options, f"{path.name}: brought to the {1e3 * config.dt:g} ms of the first log")
         kept.append(log)
     return kept
-
-
-def without_offset_of(log: Log, arm: Arm) -> Log:
-    """As ``diagnose`` takes it."""
-    from jaxftc.cli.diagnose import without_offset
-
-    return without_offset(log, arm)
 
 
 def log_table(config: Config, before: Gains, found: LogCalibration) -> str:

@@ -15,9 +15,9 @@ from jaxftc.cli.identify import LogOptions, column_names
 
 if TYPE_CHECKING:
     from jaxftc.config import Config
-    from jaxftc.logs.log import Log
     from jaxftc.robot.arm_table import Arm
 
+MEMORY = "256MB"  # of the table of samples, which is on disk
 SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
 
 
@@ -65,9 +65,8 @@ class Diagnose(LogOptions, common.ArmOptions):
             Samples(folder / "samples.parquet", names) as samples,
             tqdm(total=rows(path), desc="diagnose", unit="row", unit_scale=True, leave=False) as bar,
         ):
-            for log, begins, goes_on in pieces(path, arm, lambda dt: log_config(arm.robot, dt), **self._reading()):
+            for log, begins, goes_on in pieces(path, *self._wanted(arm), **self._reading(arm)):
                 notes += [note for note in log.notes if note not in notes]
-                log = without_offset(log, arm)
                 if stream is None:
                     config = log_config(arm.robot, log.dt or 1e-3)
                     stream = Stream(config, self._gains(arm, config))
@@ -95,13 +94,22 @@ class Diagnose(LogOptions, common.ArmOptions):
         )
         return common.write_json(folder / "result.json", record)
 
-    def _reading(self) -> dict[str, Any]:
+    def _wanted(self, arm: Arm) -> tuple[Any, Any]:
+        """What ``pieces`` reads the log for: the arm at the log's own sample time, or at that of the gains."""
+        from jaxftc.gains_file import sample_time
+
+        dt = None if self.dt is not None or self.gains is None else sample_time(self.gains)
+        return arm if dt is None else log_config(arm.robot, dt), lambda own: log_config(arm.robot, own)
+
+    def _reading(self, arm: Arm) -> dict[str, Any]:
         return {
+            "recording": arm.recording,
             "columns": column_names(self.columns),
             "dt": self.dt,
             "degrees": self.degrees,
             "torque_per_ampere": self.torque_per_ampere or None,
             "check": self.check,
+            "faulty": True,
         }
 
     def _gains(self, arm: Arm, config: Config) -> Any:
@@ -124,7 +132,7 @@ class Samples:
 
         self._aside = self.path.with_name(self.path.name + ".rows")
         self._aside.unlink(missing_ok=True)
-        self._rows = duckdb.connect(str(self._aside))
+        self._rows = duckdb.connect(str(self._aside), config={"memory_limit": MEMORY})  # else most of the machine's
         columns = ["t double"] + [
             f'"{s}_{j}" {"tinyint" if s == "verdict" else "float"}' for s in SIGNALS for j in self.joints
         ]
@@ -158,14 +166,6 @@ def log_config(robot: Any, dt: float) -> Config:
     from jaxftc import Config
 
     return Config(robot, dt=dt, t_final=dt, engine="chain")
-
-
-def without_offset(log: Log, arm: Arm) -> Log:
-    """The log with the torque offset of the arm's file taken off."""
-    import numpy as np
-
-    offset = arm.recording.torque_offset
-    return log if offset is None else log._replace(tau=np.asarray(log.tau) - np.asarray(offset))
 
 
 def np_arange(count: int) -> Any:

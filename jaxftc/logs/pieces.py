@@ -63,7 +63,6 @@ def pieces(
             yield (kept if whole else log), begins, last is not None and len(last.stretches) == 1
             begins += float(log.t[-1]) if log.t is not None else len(log.q) * config.dt
             last = log
-            options |= {"check": False}
             if isinstance(arm, Config) or not dataclasses.is_dataclass(arm):
                 continue
             options |= {"recording": getattr(arm, "recording", None)}

@@ -39,6 +39,7 @@ def read(
     degrees: bool | None = None,
     torque_per_ampere: float | Sequence[float] | None = None,
     check: bool = True,
+    faulty: bool = False,
 ) -> Log:
     """A recorded motion, at even times.
 
@@ -52,6 +53,7 @@ def read(
         degrees: Whether angles are in degrees; found out if not given.
         torque_per_ampere: N m for one ampere, one number or one a joint, where currents were recorded.
         check: Hold the columns against the model; ``False`` takes them as they are.
+        faulty: The log may hold a fault: columns that do not fit the model are noted and not refused.
 
     Returns:
         The log; its ``notes`` say what was found and repaired. Without torques in the file, ``tau`` is NaN.
@@ -70,7 +72,9 @@ def read(
     cells = table(path)
     try:
         columns = columns or _recorded_columns(recording, cells)
-        options = _Options(columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check)
+        options = _Options(
+            columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check, faulty
+        )
         return _log(cells, robot, recording, options)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -83,6 +87,7 @@ class _Options(NamedTuple):
     degrees: bool | None
     torque_per_ampere: float | Sequence[float] | None
     check: bool
+    faulty: bool
 
 
 def _recorded_columns(recording: Recording, table: Table) -> dict[str, str] | None:
@@ -134,7 +139,9 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     log = Log(q, torque, times, step, segments, unit=unit)
     if tau is not None and options.check:
         wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
-        if wrong:
+        if wrong and options.faulty:
+            notes.append(f"{'; '.join(wrong)}, unless that is the fault")
+        elif wrong:
             raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are)")
         notes += noticed
     return log._replace(notes=tuple(notes))

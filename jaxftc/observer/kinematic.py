@@ -9,7 +9,9 @@ A healthy recording has more in it than noise, and none of this is a jump:
 
 * a row that was stamped wrong moves every reading along its own speed: ``_slip`` takes from w what the other joints say;
 * a reading that comes late, and is right again: its w is twice as large when it returns. The innovation, which knows the
-  motion before it, is not: w counts as far as both agree.
+  motion before it, is not: w counts as far as both agree;
+* a reading that is an outlier: the first of a jump is set aside, for ``HELD`` ticks at most. It was a jump if the next one
+  is off to the same side. What stays is a fault, what passes is not.
 
 Readings that stay the same while the arm must have moved are frozen. Jumps in a row to one side are a reading that moves by
 itself: after ``LONGEST`` of them it is held to drift, the tracker goes with it, and b keeps what it has. b that stays below
@@ -33,6 +35,7 @@ PATIENCE = 0.2  # s without a reading for which the motion is taken to go on; th
 SETTLE = 0.2  # s of readings in which the tracker finds a speed that it does not know; jumps are not judged so long
 FORGET = 2.0  # s in which a b that is below its alarm is forgotten
 LONGEST = 3  # jumps in a row
+HELD = 2  # ticks for which a reading may be an outlier, to one side and to the other
 FROZEN, COUNTS, TRAVEL = 5, 30.0, 5e-3  # equal readings; counts or rad, the larger, by which the arm should have moved
 SLOW = 0.05  # rad/s; slower joints say nothing of the clock
 STANDING = 0.01  # rad/s, of a joint's mean speed over a tenth of a second
@@ -52,7 +55,8 @@ class State(NamedTuple):
     q3: Array  # [n, ...] rad, three ticks ago
     unread: Array  # [n, ...] ticks without a reading
     known: Array  # [n, ...] s of readings since the start or the last pause, in which the tracker finds the speed
-    run: Array  # [n, ...] jumps in a row to one side, negative for those down
+    run: Array  # [n, ...] jumps in a row to one side, negative for those down; one that was set aside counts
+    held: Array  # [n, ...] readings in a row that were set aside
     drifts: Array  # [n, ...] 1 while the reading is held to drift, else 0
     reading: Array  # [n, ...] rad, last one
     least: Array  # [n, ...] rad, least change of a reading so far
@@ -88,11 +92,8 @@ class Estimate(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """At rest in q [n, ...] rad."""
-    zero, one = jnp.zeros_like(q), jnp.ones_like(q)
-    model = arx.init(config, gains, q)
-    return State(
-        model, zero, zero, zero, zero, zero, q, q, q, zero, zero, zero, zero, q, one, zero, zero, zero, zero, zero, zero
-    )
+    rest = State(arx.init(config, gains, q), *[jnp.zeros_like(q)] * (len(State._fields) - 1))
+    return rest._replace(q1=q, q2=q, q3=q, reading=q, least=jnp.ones_like(q))
 
 
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Estimate]:
@@ -114,11 +115,12 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     w = jnp.where((w * e > 0) & (known > SETTLE), jnp.sign(w) * jnp.minimum(jnp.abs(w), jnp.abs(e)), 0.0)
     h_s = takagi_sugeno.jump_share(w, own.jump, own.jump_centres, own.jump_widths)
     side = jnp.where(h_s > 0.5, jnp.sign(w), 0.0)
-    run = jnp.where(side * state.run > 0, state.run + side, side)
+    follows = side * state.run > 0
+    aside = (side != 0) & ~follows & (state.held < HELD)
+    run = jnp.where(follows, state.run + side, side)
     h_s = jnp.where(jnp.abs(run) > LONGEST, 0.0, h_s)
     moved = jnp.where(known > SETTLE, own.alpha_f2 * h_s * (e - state.e), 0.0)
-    b = state.b + moved
-    q_hat = y - b
+    b, q_hat = state.b + jnp.where(aside, 0.0, moved), y - state.b - moved
     e, y_hat = e - shift - moved, y_hat + shift
 
     x_a = state.arx.x_a + (laguerre.steady_gain(gains.arx.xi_a) * shift)[:, None]
@@ -138,7 +140,8 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     angles = [(b - kept) + q for q in (q_hat, state.q1 + shift, state.q2 + shift)]
     state = state._replace(
         arx=arx.State(x_a, x_b), psi=psi, qd=qd, mean_speed=mean_speed, b=kept, e=e, unread=unread, known=known, run=run,
-        q1=angles[0], q2=angles[1], q3=angles[2], drifts=drifts.astype(q_hat.dtype),
+        held=jnp.where(aside, state.held + 1, 0.0), q1=angles[0], q2=angles[1], q3=angles[2],
+        drifts=drifts.astype(q_hat.dtype),
     )  # fmt: skip
     state = _freeze(config, state, inputs, absent)
     frozen = state.frozen > 0
@@ -204,7 +207,7 @@ def _freeze(config: Config, state: State, inputs: Inputs, absent: Array) -> Stat
         reading=jnp.where(absent, state.reading, inputs.q),
         least=jnp.where(absent | (step == 0), state.least, jnp.minimum(state.least, step)),
         equal=equal,
-        longest=jnp.where(frozen, state.longest, jnp.maximum(state.longest, equal)),
+        longest=jnp.where(same | (state.frozen > 0), state.longest, jnp.maximum(state.longest, state.equal)),
         speed=jnp.where(same, ahead, changed),
         slowing=jnp.where(same, state.slowing, state.psi),
         travel=travel,

@@ -22,7 +22,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxftc.config import Config
-from jaxftc.gains import Gains, Spec, specs
+from jaxftc.gains import Gains, Spec, align, specs
 from jaxftc.stages import Flag
 from jaxftc.types import Array
 
@@ -31,33 +31,47 @@ SQUARINGS = 16  # of the matrix: the norm of its 65536th power is radius^65536 w
 
 
 def spectral_radius(config: Config, gains: Gains) -> np.ndarray:
-    """Largest modulus of a pole of the observer's error, [n]; below 1 is stable.
+    """Largest modulus of a pole of the observer's error, [n, ...]; below 1 is stable.
 
-    Only for ``input="rigid_body"``, where the joints do not couple; gains without scenario axes.
+    Only for ``input="rigid_body"``, where the joints do not couple. Scenarios with equal gains are solved once.
     """
-    leaves = [leaf.astype(float) for leaf in _of_joints(config, gains, np)]
+    axes = max(leaf.ndim - len(spec.axes) for leaf, spec in _with_specs(gains))
+    leaves = [leaf.astype(float) for leaf in _of_joints(config, align(gains, axes), np)]
+    swept = np.broadcast_shapes(*(leaf.shape[leaf.ndim - axes :] for leaf in leaves))
+    own = [leaf.shape[: leaf.ndim - axes] for leaf in leaves]
+    flat = [np.broadcast_to(x, size + swept).reshape(int(np.prod(size)), -1) for x, size in zip(leaves, own, strict=True)]
+    table, back = np.unique(np.concatenate(flat), axis=1, return_inverse=True)
+    parts = np.split(table, np.cumsum([len(x) for x in flat])[:-1])
+    each = [
+        _radius(config, [part[:, k].reshape(size) for part, size in zip(parts, own, strict=True)])
+        for k in range(table.shape[1])
+    ]
+    return np.stack(each, 1)[:, back.reshape(-1)].reshape(config.n, *swept)
+
+
+def _radius(config: Config, leaves: list[np.ndarray]) -> np.ndarray:
+    """The same [n] of one scenario, from what ``_matrix`` takes."""
     cases = (0.0, 1.0) if config.observer == "ts" else (0.0,)
     matrices = [[_matrix(np, config, *joint, on) for joint in zip(*leaves, strict=True)] for on in cases]  # pyright: ignore[reportCallIssue]
     return np.abs(np.linalg.eigvals(np.array(matrices))).max(-1).max(0)
 
 
 def check(config: Config, gains: Gains) -> None:
-    """Refuse gains with which the observer's error grows; gains under a trace or with scenario axes are not looked at.
+    """Refuse gains with which the observer's error grows; gains under a trace are not looked at.
 
     Raises:
-        ValueError: the spectral radius of some joint is above 1. At 1 stands an integral whose gain is 0.
+        ValueError: the spectral radius of some joint, in some scenario, is above 1. At 1 stands an integral whose gain is 0.
     """
-    if config.input != "rigid_body":
-        return
-    if any(isinstance(leaf, Tracer) or leaf.ndim > len(spec.axes) for leaf, spec in _with_specs(gains)):
+    if config.input != "rigid_body" or any(isinstance(leaf, Tracer) for leaf, _ in _with_specs(gains)):
         return
     radius = spectral_radius(config, gains)
     if not (radius <= 1 + MARGINAL).all():
-        joint = int(np.argmax(np.where(np.isfinite(radius), radius, np.inf)))
+        joint, *scenario = np.unravel_index(np.argmax(np.where(np.isfinite(radius), radius, np.inf)), radius.shape)
+        where = f" in scenario {', '.join(map(str, scenario))} (from 0)" if scenario else ""
         raise ValueError(
-            f"the observer of joint {joint + 1} ({config.robot.joint_names[joint]}) is unstable at dt = {config.dt:g} s: "
-            f"the spectral radius of its error is {radius[joint]:.4g} and must be below 1; default_gains(config) gives "
-            "gains for this dt, or lower observer.alpha_i and alpha_f1, alpha_f3"
+            f"the observer of joint {joint + 1} ({config.robot.joint_names[joint]}){where} is unstable at dt = "
+            f"{config.dt:g} s: the spectral radius of its error is {radius[joint, *scenario]:.4g} and must be below 1; "
+            "default_gains(config) gives gains for this dt, or lower observer.alpha_i and alpha_f1, alpha_f3"
         )
 
 

@@ -14,6 +14,7 @@ from jaxftc.robot.dynamics import coulomb
 from jaxftc.robot.model import Robot
 
 SPEEDS = 101  # points of a friction curve
+FIRST = "The first joint, until another is chosen above."
 
 
 def identify_page(before: Robot, found: Identified, log: Log, title: str) -> str:
@@ -66,7 +67,9 @@ def _torque_figure(log: Log, recorded: np.ndarray, models: dict[str, np.ndarray]
     }
     t = np.arange(len(recorded)) * (log.dt or 1e-3)
     figure = by_joint(t, [Panel("torque, N m", curves), Panel("left over, N m", left)], names)
-    return finish(figure, "Torque, recorded and modelled", "The first log. File: the model before.", panels=2, first=0)
+    return finish(
+        figure, "Torque, recorded and modelled", f"The first log. File: the model before. {FIRST}", panels=2, first=0
+    )
 
 
 def _friction_figure(before: Robot, found: Identified, qd: np.ndarray, left: np.ndarray) -> go.Figure:
@@ -94,7 +97,7 @@ def _friction_figure(before: Robot, found: Identified, qd: np.ndarray, left: np.
                 line={"color": colour},
                 meta={"joint": j},
             )
-    finish(figure, "Friction over speed", panels=2, first=0)
+    finish(figure, "Friction over speed", FIRST, panels=2, first=0)
     return figure.update_xaxes(title_text="speed, rad/s").update_yaxes(title_text="friction, N m")
 
 

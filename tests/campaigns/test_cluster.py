@@ -219,7 +219,7 @@ def command(tmp_path_factory):
     """Begin a campaign in a folder of its own; compiled programs stay in a cache of the module's own."""
     home = tmp_path_factory.mktemp("home")
     (home / "arm.xml").write_text(serial(2))
-    environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2])}
 
     def call(out, *words):
         every = [

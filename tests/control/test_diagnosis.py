@@ -140,6 +140,12 @@ def test_readings_that_do_not_come_are_a_sensor_fault_even_at_rest(two):
     assert (verdict[:44] == 0).all() and (verdict[44:, 0] == 2).all() and (verdict[:, 1] == 0).all()
 
 
+def test_one_reading_that_does_not_come_to_an_arm_at_rest_is_no_fault(two):
+    y = np.full((60, 2), 0.3)
+    y[30, 0] = np.nan
+    assert (judge(two, np.zeros((60, 2)), y=y, speed=0.0) == 0).all()
+
+
 def test_a_velocity_transient_is_forgotten_when_all_has_been_quiet(two):
     verdict = judge(two, pulse(700, 10, 40, size=8.0))
     assert (verdict[60:500, 0] == 2).all() and (verdict[560:, 0] == 0).all()

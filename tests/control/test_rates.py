@@ -1,6 +1,7 @@
 """Default gains at other sample times and with other encoders."""
 
 import dataclasses
+import json
 
 import jax
 import jax.numpy as jnp
@@ -78,6 +79,19 @@ def test_an_unstable_observer_is_refused_with_its_radius(use):
             jaxftc.Diagnoser(slow, gains)
 
 
+def test_every_scenario_of_swept_gains_is_looked_at():
+    made = config(1e-3)
+    one = jaxftc.default_gains(made)
+    factors = np.array([[1.0, 0.5, 1.0], [2.0, 30.0, 0.5]])
+    swept = one.replace({"observer.alpha_i": np.asarray(one.observer.alpha_i)[:, None, None] * factors})
+    found = stability.spectral_radius(made, swept)
+    for place, factor in np.ndenumerate(factors):
+        alone = one.replace({"observer.alpha_i": one.observer.alpha_i * factor})
+        np.testing.assert_array_equal(found[:, *place], stability.spectral_radius(made, alone))
+    with pytest.raises(ValueError, match=r"joint 1 .* in scenario 1, 1 \(from 0\) is unstable .* radius .* is 1\.\d+ and"):
+        jaxftc.Diagnoser(made, swept)
+
+
 def test_alarms_last_as_long_at_every_rate():
     for dt in RATES:
         made = config(dt)
@@ -85,6 +99,13 @@ def test_alarms_last_as_long_at_every_rate():
         assert made.alarm_ticks >= 2 and made.release_ticks >= 3
     assert (config(1e-3).alarm_ticks, config(1e-3).release_ticks, config(1e-3).transient_ticks) == (3, 10, 60)
     assert config(0.01, alarm_ticks=7).alarm_ticks == 7
+
+
+def test_ticks_that_were_not_given_follow_a_replaced_sample_time():
+    made = dataclasses.replace(config(1e-3, alarm_ticks=7), dt=0.01)
+    assert (made.alarm_ticks, made.release_ticks, made.transient_ticks) == (7, 3, 6)
+    assert made == config(0.01, alarm_ticks=7) and json.dumps(made.record["release_ticks"]) == "3"
+    assert dataclasses.replace(made, dt=1e-3).record == config(1e-3, alarm_ticks=7).record
 
 
 RUN_RATES = [pytest.param(dt, marks=() if dt in (2e-3, 10e-3) else pytest.mark.slow) for dt in RATES]

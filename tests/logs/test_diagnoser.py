@@ -125,7 +125,20 @@ def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
     q[ON] = 0.5 * (q[ON] + q[ON - 1])
     late[ON:, 0] += 0.02
     assert not (logs.diagnose(config, calibration.gains, log._replace(q=q)).verdict & jaxftc.Verdict.SENSOR).any()
-    assert logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[ON, 0] == jaxftc.Verdict.SENSOR
+    verdict = logs.diagnose(config, calibration.gains, log._replace(q=late)).verdict[:, 0]
+    assert verdict[ON] == jaxftc.Verdict.NORMAL and verdict[ON + 1] == jaxftc.Verdict.SENSOR
+
+
+@pytest.mark.parametrize("back", [1, 2])
+def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
+    """It is off for a tick, or to one side and then to the other, and right again."""
+    q = log.q.copy()
+    q[ON, 1] += 0.03
+    q[ON + 1, 1] -= 0.03 * (back - 1)
+    said = logs.diagnose(config, calibration.gains, log._replace(q=q))
+    assert np.abs(said.jump[ON, 1]) > 0.02 and not said.verdict.any()
+    healthy = logs.diagnose(config, calibration.gains, log)
+    np.testing.assert_allclose(said.q_hat[ON + 30 :], healthy.q_hat[ON + 30 :], atol=1e-3)
 
 
 def test_without_torques_the_readings_are_judged(config, calibration, log):
@@ -153,9 +166,12 @@ def test_a_step_is_pure_and_may_be_jitted_and_mapped(config, calibration, log):
     state = diagnoser.init(log.q[0])
     for k in range(30):
         state, said = step(state, log.q[k], log.tau[k])
-    two = jax.jit(jax.vmap(diagnoser.step, in_axes=(None, 0, None)))
-    two, one = two(state, jnp.stack([log.q[30], log.q[30] + 0.1]), log.tau[30])[1], step(state, log.q[30], log.tau[30])[1]
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
+    step_both = jax.jit(jax.vmap(diagnoser.step, in_axes=(0, 0, None)))
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), state)
+    for k in (30, 31):
+        states, two = step_both(states, jnp.stack([log.q[k], log.q[k] + 0.1]), log.tau[k])
+        state, one = step(state, log.q[k], log.tau[k])
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a[0], b, atol=1e-9), two, one)
     assert one.verdict.tolist() == [0, 0, 0] and (two.verdict[1] == 2).all()
     assert isinstance(said, Diagnosis)
 
@@ -292,6 +308,29 @@ def test_diagnose_writes_the_timeline(files, capsys):
     assert rows == (1600, pytest.approx(15.99), 2)
     page = (out / "report.html").read_text()
     assert "shoulder_joint" in page and "Residuals and events" in page
+
+
+def test_a_log_is_brought_to_the_sample_time_of_the_gains(files, arm, capsys):
+    columns = small_logs.table(arm_file(arm), 8.0, 0.8 / DT, 4)
+    columns |= {f"tau{j + 1}": columns[f"tau{j + 1}"] - offset for j, offset in enumerate(small_logs.OFFSET)}
+    log = str(small_logs.write(files / "slower.csv", columns))
+    given = ["diagnose", log, "--robot", str(files), "--gains", str(files / "gains.toml"), "--json", "--out"]
+    main([*given, str(files / "brought")])
+    said = json.loads(capsys.readouterr().out)
+    assert said["sample_time_s"] == DT and not said["events"]
+    with pytest.raises(SystemExit):  # a sample time that was asked for is not replaced
+        main([*given, str(files / "refused"), "--dt=0.0125"])
+    assert "holds gains for another dt" in capsys.readouterr().err
+
+
+def test_columns_that_do_not_fit_are_said_and_not_refused(files, arm, log):
+    """A fault may look like a wrong column: a frozen angle like a swapped one."""
+    columns = {"t": log.t} | {f"q{j + 1}": log.q[:, j] for j in range(3)}
+    columns |= {f"tau{j + 1}": sign * log.tau[:, j] for j, sign in enumerate((1, -1, 1))}
+    path = small_logs.write(files / "odd.csv", columns)
+    with pytest.raises(ValueError, match="takes the columns as they are"):
+        logs.read(path, arm)
+    assert any("unless that is the fault" in note for note in logs.read(path, arm, faulty=True).notes)
 
 
 def test_a_long_recording_is_read_piece_by_piece(files, arm, config, calibration, monkeypatch):

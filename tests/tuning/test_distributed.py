@@ -99,7 +99,7 @@ def member(port):
     def call(index, count=3, joining=20):
         words = [sys.executable, "-c", PROGRAM, "127.0.0.1", str(port), str(count), str(index), str(joining)]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+        environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
         running.append(subprocess.Popen(words, env=environment, **pipes))
         return running[-1]
 
@@ -216,7 +216,7 @@ def tune(tmp_path_factory):
     home = tmp_path_factory.mktemp("home")
     (home / "arm.xml").write_text(serial(2))
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "SLURM_", "OMPI_"))}
-    environment |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[1]), "JAX_PLATFORMS": "cpu"}
+    environment |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2]), "JAX_PLATFORMS": "cpu"}
 
     def call(out, own, *words):
         every = [sys.executable, "-c", COMMAND, *TUNE, "--robot", str(home / "arm.xml"), "--out", str(out), *words]
