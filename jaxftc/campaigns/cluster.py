@@ -118,7 +118,7 @@ def _pass_on(done: Future[Any], future: Future[Any]) -> None:
     if not isinstance(cause, ValueError | OSError):
         first = str(cause or error).strip().splitlines()[-1 if cause is None else 0]
         cause = OSError(
-            f"a task was lost {RETRIES + 1} times or failed, and with it the campaign: {first}; rows that "
+            f"a chunk failed, or was lost {RETRIES + 1} times: {first}; rows that "
             "are there stay, and the same command goes on"
         )
     future.set_exception(cause)

@@ -167,13 +167,11 @@ class Line:
                 server.settimeout(max(0.01, deadline - time.monotonic()))
                 try:
                     peer, _ = server.accept()
-                    peer.settimeout(5.0)
-                    said = peer.recv(len(HELLO) + 8, socket.MSG_WAITALL)
                 except TimeoutError as error:
-                    if time.monotonic() < deadline:
-                        continue  # whoever called had nothing to say
                     there = ", ".join(map(str, sorted((0, *self._peers.values()))))
                     raise ValueError(f"of {where.count} processes only {there} came within {JOINING:.0f} s") from error
+                peer.settimeout(5.0)
+                said = _heard(peer, len(HELLO) + 8, socket.MSG_WAITALL)
                 index, count = (int.from_bytes(said[k : k + 4]) for k in (len(HELLO), len(HELLO) + 4))
                 if not said.startswith(HELLO):
                     peer.close()
@@ -197,7 +195,7 @@ class Line:
                 time.sleep(0.1)
         peer.settimeout(2 * JOINING)
         peer.sendall(HELLO + where.index.to_bytes(4) + where.count.to_bytes(4))
-        self.port = int.from_bytes(peer.recv(2, socket.MSG_WAITALL))
+        self.port = int.from_bytes(_heard(peer, 2, socket.MSG_WAITALL))
         if not self.port:
             raise ValueError("process 0 has ended; it says why")
         self._peers[peer] = 0
@@ -235,10 +233,10 @@ class Line:
                 peer.shutdown(socket.SHUT_WR)
 
 
-def _heard(peer: socket.socket) -> bytes:
-    """What the other end says; nothing if it is gone."""
+def _heard(peer: socket.socket, size: int = 1000, flags: int = 0) -> bytes:
+    """What the other end says; nothing if it is gone, or silent for longer than is waited."""
     try:
-        return peer.recv(1000)
+        return peer.recv(size, flags)
     except OSError:
         return b""
 
