@@ -79,6 +79,11 @@ def scaled_inertias(robot: Robot, mass: Array, payload: Array) -> list[Inertia]:
     return _grouped(robot, inertias)
 
 
+def payload_inertias(robot: Robot) -> list[Inertia]:
+    """Links without a mass and 1 kg at the tool, as base parameters: Python floats."""
+    return _grouped(robot, [*[_EMPTY] * (robot.n - 1), link_inertia(robot.payload_link)])
+
+
 def _grouped(robot: Robot, inertias: list[Inertia]) -> list[Inertia]:
     """Links that move the same way with fewer numbers: what lies on a link's hinge axis is given to its parent.
 
