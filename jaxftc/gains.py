@@ -112,8 +112,15 @@ class ObserverGains:
 class DiagnosisGains:
     """Blocks 5 to 7, Eqs. (14), (17), (18)."""
 
-    alpha_tau: Array = gain("n", "N m", 2.0, above=0.0, doc="torque threshold")
+    alpha_tau: Array = gain("n", "N m", 2.0, above=0.0, doc="torque threshold, of a joint at rest")
     alpha_q: Array = gain("n", "rad", math.radians(1.0), above=0.0, doc="encoder threshold")
+    follow_speed: Array = gain("n", "s/rad", 0.0, low=0.0, doc="share of alpha_tau added to the torque threshold by speed")
+    follow_acceleration: Array = gain("n", "s^2/rad", 0.0, low=0.0, doc="the same by acceleration")
+    follow_reversal: Array = gain(
+        "n", "1", 0.0, low=0.0, doc="the same where the joint turns round and friction changes sign"
+    )
+    follow_torque: Array = gain("n", "1/(N m)", 0.0, low=0.0, doc="the same by the torque that the model's links need")
+    follow_payload: Array = gain("n", "1/(N m)", 0.0, low=0.0, doc="the same by the torque that 1 kg at the tool needs")
     lead: Array = gain("n", "1/s^2", 0.0, low=0.0, doc="weight of the innovation beside psi in the torque statistic")
     lam_tau: Array = gain("n", "1", 0.7, low=0.0, high=1.0, doc="w, weight of the residual against its leaky mean")
     lam_q: Array = gain("n", "1", 1.0, low=0.0, high=1.0, doc="the same weight in the encoder channel")

@@ -6,6 +6,7 @@ gains. theta is 0 at the start, and one unit is a natural step:
 * a gain without an upper limit moves by factors: g = start exp(theta). A start of 0 is moved to ``SMALLEST``;
 * a gain in an interval moves by odds: logit of its place in it. A start at an end is moved inside by ``INSET``;
 * set centres, which must increase, move by the log of their gaps, the first one by gaps;
+* what torque thresholds follow of the motion moves only if it is named: ``jaxftc calibrate`` fits it;
 * both Laguerre poles move as one, ``arx.xi_a``, by odds within (-1, 1); the read-out is then that of the exact model, also
   where it was identified before.
 
@@ -27,6 +28,7 @@ import numpy as np
 from jaxftc import checks, stages
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import INCREASING, Gains, Spec, blocks, names, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import arx
@@ -38,7 +40,11 @@ from jaxftc.types import Array
 REACH = math.log(20.0)
 INSET = 0.01  # of the interval
 SMALLEST = {"control.k_b": 1.0, "diagnosis.lead": 1000.0}  # 1/s, 1/s^2; for the others a thousandth of their default
+SMALLEST |= {"diagnosis.follow_speed": 1e-2, "diagnosis.follow_acceleration": 1e-3}  # s/rad, s^2/rad
+SMALLEST |= {"diagnosis.follow_reversal": 1e-2}  # 1
+SMALLEST |= {"diagnosis.follow_torque": 1e-3, "diagnosis.follow_payload": 1e-3}  # 1/(N m)
 POLES = "arx.xi_a"
+IF_NAMED = {POLES, *threshold.GAINS}
 
 
 def idle(config: Config) -> set[str]:
@@ -54,7 +60,7 @@ def tunable(config: Config) -> tuple[str, ...]:
 
 
 def select(config: Config, only: Iterable[str] = (), freeze: Iterable[str] = ()) -> tuple[str, ...]:
-    """Names of the free gains: those of ``only`` (all but the poles if empty) less those of ``freeze``.
+    """Names of the free gains: those of ``only`` (all but ``IF_NAMED`` if empty) less those of ``freeze``.
 
     A block's name stands for all its gains.
 
@@ -62,7 +68,7 @@ def select(config: Config, only: Iterable[str] = (), freeze: Iterable[str] = ())
         ValueError: an unknown name, a gain that this config does not use, or nothing left to tune.
     """
     allowed = tunable(config)
-    chosen = _expand(config, only) or {name for name in allowed if name != POLES}
+    chosen = _expand(config, only) or {name for name in allowed if name not in IF_NAMED}
     left = (chosen & set(allowed)) - _expand(config, freeze)
     if not left:
         raise ValueError("every gain is frozen, so there is nothing to tune; free at least one")

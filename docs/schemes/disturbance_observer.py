@@ -52,7 +52,7 @@ def step(config, gains, state, reference, measurement):
     z = state.z - config.dt * c * modelled
     pd, said = pd_gravity.step(config, gains, state.pd, reference, measurement)
     fault, threshold = z + c * pd.qd, gains.diagnosis.alpha_tau
-    own, alarms = alarm.step(config, gains, state.alarm, Statistics(fault, jnp.zeros_like(fault)))
+    own, alarms = alarm.step(config, gains, state.alarm, alarm.Inputs(Statistics(fault, jnp.zeros_like(fault)), threshold))
     tau, verdict = pd.tau - fault, decision.verdict(alarms.tau, alarms.q)
     said = output(config, tau, pd.q, pd.qd, fault_tau=fault, verdict=verdict, threshold_tau=threshold)
     return State(pd._replace(tau=tau), z, own), said

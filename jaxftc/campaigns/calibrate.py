@@ -4,6 +4,9 @@ Each joint's threshold starts as the quantile of its own largest statistic in a 
 factor on all of them then makes the rate right for runs as a whole, at the order statistic that a binomial law allows with
 the wanted confidence. The fuzzy stage reads the thresholds too, so the runs are repeated with the new ones until they stay.
 Fresh runs then say what was reached.
+
+Torque thresholds may follow the motion (``diagnosis/threshold.py``). Constant ones are set first, so that the loop runs as
+it will; ``follow.py`` then fits what they follow, and the same runs and the same rule set their height.
 """
 
 from __future__ import annotations
@@ -12,16 +15,22 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.campaigns.run import scores
+from jaxftc.campaigns import follow as following
+from jaxftc.campaigns.run import scores, torque_statistics
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.evaluation.intervals import Interval, share, tolerated
 from jaxftc.gains import Gains
+from jaxftc.scenarios import reference
 from jaxftc.scenarios.scenario import Scenario, take
+from jaxftc.schemes.registry import scheme
 from jaxftc.types import Array
 
 ROUNDS, SETTLED = 8, 0.02  # at most; relative change of the thresholds that ends them
+MOMENTS, EVERY = 1024, 4  # runs whose moments a fit sees, as many that check it; every so many ticks of them
 LEAST_TAU = 1e-4  # of the torque limit: no threshold is lower, where a statistic is always 0
 LEAST_Q = math.radians(0.01)  # rad; six times the noise of an encoder of 3e-5 rad
 
@@ -46,6 +55,7 @@ class Calibration(NamedTuple):
         settled: Whether the last round changed them by less than SETTLED.
         fresh: Runs that they were checked on.
         reached: Share of those with an alarm, with its 95 % interval.
+        shares: What the torque thresholds follow; None where that was not asked for.
     """
 
     gains: Gains
@@ -56,6 +66,7 @@ class Calibration(NamedTuple):
     settled: bool
     fresh: int
     reached: Interval
+    shares: following.Shares | None = None
 
     @property
     def met(self) -> bool:
@@ -71,6 +82,7 @@ def calibrate(
     *,
     false_alarms: float = 0.01,
     confidence: float = 0.95,
+    follow: bool = False,
     done: Callable[[int], object] = lambda count: None,
 ) -> Calibration:
     """Set ``gains.diagnosis.alpha_tau`` and ``alpha_q`` on healthy scenarios: faults are left out.
@@ -84,6 +96,8 @@ def calibrate(
         key: Of the encoder noise.
         false_alarms: Share of healthy runs that may raise an alarm.
         confidence: With which no more do.
+        follow: Fit first what torque thresholds follow of the motion, where the scheme's can; without it they follow what
+            the gains say.
         done: Is told after each piece how many runs it had.
 
     Returns:
@@ -101,7 +115,26 @@ def calibrate(
         tau, q = (np.asarray(x, float) for x in (found.healthy_tau, found.healthy_q))
         return Peaks(tau, q, np.isinf(found.healthy_ratio) | found.lost)
 
-    return _settle(config, gains, peaks, false_alarms, confidence)
+    if not follow or not set(threshold.GAINS) <= scheme(config).gains_used(config):
+        return _settle(config, gains, peaks, false_alarms, confidence)
+    constant = following.with_shares(gains, np.zeros((config.n, len(following.FOLLOW))))
+    constant = _settle(config, constant, peaks, false_alarms, confidence).gains
+    shares = following.fit(*_moments(config, constant, parts[0], key))
+    gains = following.with_shares(constant, shares.values)
+    return _settle(config, gains, peaks, false_alarms, confidence)._replace(shares=shares)
+
+
+def _moments(config: Config, gains: Gains, scenarios: Scenario, key: Array) -> list[following.Moments]:
+    """Moments of healthy scenarios with a leading axis: those to fit, and those to check."""
+    some = take(scenarios, slice(0, 2 * MOMENTS))
+    size = torque_statistics(config, gains, some, key, EVERY)  # [n, ticks, runs]
+    start, goal = (jnp.asarray(np.asarray(q).T[:, None]) for q in (some.q_start, some.q_goal))
+    t = config.dt * jnp.arange(0, config.ticks, EVERY)[:, None]
+    at = np.stack(threshold.motion(config.robot, *reference.cubic(start, goal, config.t_final, t)), 1)  # [n, 5, ticks, runs]
+    half = size.shape[-1] // 2
+    flat = lambda part: part.reshape(*part.shape[:-2], -1)  # noqa: E731
+    halves = slice(0, half), slice(half, None)
+    return [following.Moments(flat(size[..., runs]), flat(at[..., runs])) for runs in halves]
 
 
 def enough(runs: int, false_alarms: float, confidence: float) -> int:
@@ -195,9 +228,9 @@ def with_thresholds(gains: Gains, alpha_tau: Any, alpha_q: Any) -> Gains:
 
 
 def by_joint(config: Config, gains: Gains) -> dict[str, dict[str, float]]:
-    """Thresholds by joint's name."""
-    values = {
-        "alpha_tau_nm": np.asarray(gains.diagnosis.alpha_tau, float),
-        "alpha_q_deg": np.rad2deg(np.asarray(gains.diagnosis.alpha_q, float)),
-    }
+    """Thresholds by joint's name, and what those of the torque follow, where they follow anything."""
+    own = gains.diagnosis
+    values = {"alpha_tau_nm": np.asarray(own.alpha_tau, float), "alpha_q_deg": np.rad2deg(np.asarray(own.alpha_q, float))}
+    shares = {name: np.asarray(getattr(own, name), float) for name in threshold.FOLLOW}
+    values |= shares if any(share.any() for share in shares.values()) else {}
     return {key: dict(zip(config.robot.joint_names, value.tolist(), strict=True)) for key, value in values.items()}

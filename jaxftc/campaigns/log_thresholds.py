@@ -238,7 +238,8 @@ def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
     tau, w, speed, last = [], [], np.zeros(config.n), None
     parts: list[tuple[np.ndarray, np.ndarray]] = []
     for _, said in _diagnosed(config, gains, logs):
-        parts.append((np.abs(said.statistic_tau), np.abs(said.jump[..., 0])))
+        rise = said.threshold_tau / np.float32(NEVER)  # by the motion; 1 where thresholds are constant
+        parts.append((np.abs(said.statistic_tau) / rise, np.abs(said.jump[..., 0])))
         rate = np.abs(np.diff(said.qd_hat[..., 0], axis=0)) / config.dt
         last = np.quantile(rate, 0.99, axis=0) if len(rate) else speed
         speed = np.maximum(speed, last)

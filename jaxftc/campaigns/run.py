@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,7 @@ from jaxftc import checks, stages
 from jaxftc.compile.devices import cores
 from jaxftc.compile.xla import jit
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.evaluation import online, table
 from jaxftc.gains import Gains
 from jaxftc.scenarios.preset import Preset
@@ -82,13 +84,27 @@ def scores(
         raise ValueError("scenarios must be at least one, got none; draw them with jaxftc.sample_scenarios")
     check(config, gains, scenarios)
     checks.random_key("key", key)
-    count, wide, program = len(scenarios.id), width(), _program(stages.general(config))
+    program, on = _program(stages.general(config), threshold.follows(gains.diagnosis)), stages.as_data(config)
+    return _in_blocks(scenarios, lambda piece: program(key, on, gains, piece)[0], done, at_a_time)
 
-    on = stages.as_data(config)
 
-    def block(first: int) -> online.Score:
-        piece = take(scenarios, np.arange(first, first + wide) % count)
-        return jax.tree.map(np.asarray, program(key, on, gains, piece)[0])
+def torque_statistics(config: Config, gains: Gains, scenarios: Scenario, key: Array, every: int) -> np.ndarray:
+    """|S| of the torque channel [n, ticks, scenarios] N m, every so many ticks of scenarios with a leading axis."""
+    program, on = _statistics(stages.general(config), every), stages.as_data(config)
+    return np.moveaxis(_in_blocks(scenarios, lambda piece: program(on, gains, trail(piece), key)), 0, 1)
+
+
+def _in_blocks(
+    scenarios: Scenario,
+    run: Callable[[Scenario], Any],
+    done: Callable[[int], object] = lambda count: None,
+    at_a_time: int | None = None,
+) -> Any:
+    """What ``run`` makes of scenarios, its last axis, a program's width at a time on all cores; as NumPy arrays."""
+    count, wide = len(scenarios.id), width()
+
+    def block(first: int) -> Any:
+        return jax.tree.map(np.asarray, run(take(scenarios, np.arange(first, first + wide) % count)))
 
     pieces, starts = [], range(0, count, wide)
     pool = ThreadPoolExecutor(at_a_time or _at_a_time())
@@ -114,30 +130,50 @@ def replay(config: Config, gains: Gains, scenario: Scenario, key: Array) -> tupl
     """One scenario's row, bit for bit that of its campaign, and its trace [T, n]."""
     copies = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[None], width(), axis=0), scenario)
     check(config, gains, copies)
-    result, trace = _program(stages.general(config))(key, stages.as_data(config), gains, copies)
+    program = _program(stages.general(config), threshold.follows(gains.diagnosis))
+    result, trace = program(key, stages.as_data(config), gains, copies)
     row = table.columns(config, take(copies, slice(0, 1)), jax.tree.map(lambda leaf: np.asarray(leaf)[..., :1], result))
     return row, trace
 
 
 @functools.lru_cache(maxsize=16)
-def _program(config: Config) -> Callable[[Array, stages.Stages | None, Gains, Scenario], tuple[online.Score, Trace]]:
-    """(key, stages, gains, scenarios with a leading axis) to (scores, trace of the first)."""
+def _program(
+    config: Config, follows: bool
+) -> Callable[[Array, stages.Stages | None, Gains, Scenario], tuple[online.Score, Trace]]:
+    """(key, stages, gains, scenarios with a leading axis) to (scores, trace of the first).
+
+    ``follows`` says whether torque thresholds follow the motion: a program of constant ones does not look at it.
+    """
 
     def block(key: Array, on: stages.Stages | None, gains: Gains, scenarios: Scenario) -> tuple[online.Score, Trace]:
+        gains = gains if follows else threshold.known_constant(gains)
         true = online.truth(config, scenarios)
 
         def look(state: online.State, tick: Trace) -> tuple[online.State, Trace]:
             first = jax.tree.map(lambda leaf: leaf[..., 0] if leaf.ndim else leaf, tick)
-            return online.step(config, true, state, tick), first
+            return online.step(config, gains, true, state, tick), first
 
         blank = online.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
         last, trace = watch(config, gains, scenarios, key, blank, look, on)
         return last.score, trace
 
     like = online.Score(*[0] * len(online.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
-    known = repr(config) if config.scheme in SCHEMES else None  # the code of a user's scheme is not in a program's name
+    known = (
+        f"{config!r} {follows}" if config.scheme in SCHEMES else None
+    )  # the code of a user's scheme is not in a program's name
     run = jit(block, kind=program_kind(config.engine), cached_as=known, like=like)
     return lambda key, on, gains, scenarios: run(key, on, gains, trail(scenarios))
+
+
+@functools.lru_cache(maxsize=4)
+def _statistics(config: Config, every: int) -> Callable[..., Array]:
+    """(stages, gains, scenarios with a trailing axis, key) to |S| of the torque channel, every so many ticks."""
+
+    def block(on: stages.Stages | None, gains: Gains, scenarios: Scenario, key: Array) -> Array:
+        look = lambda seen, tick: (seen, jnp.abs(tick.out.statistic_tau))  # noqa: E731
+        return watch(config, gains, scenarios, key, (), look, on)[1][::every]
+
+    return jit(block, kind=program_kind(config.engine))
 
 
 def width() -> int:

@@ -137,11 +137,13 @@ def begin(
     request: dict[str, Any],
     false_alarms: float | None,
     done: Callable[[int], object] = lambda count: None,
+    *,
+    follow: bool = False,
     note: Callable[[str], object] = lambda text: None,
 ) -> tuple[Job, dict[str, Any]]:
     """The folder's campaign: that of an earlier call if it was the same request, a new one otherwise; and its manifest.
 
-    A new one sets the thresholds first, if a share of false alarms is given.
+    A new one sets the thresholds first, if a share of false alarms is given; ``follow`` is ``calibrate``'s.
 
     Raises:
         ValueError: the folder holds another campaign, or the thresholds cannot be set.
@@ -158,7 +160,7 @@ def begin(
     store.empty(folder)
     manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
     if false_alarms is not None and scheme(job.config).DIAGNOSES:
-        found = set_thresholds(job, false_alarms, done)
+        found = set_thresholds(job, false_alarms, done, follow=follow)
         job = job._replace(gains=found.gains)
         manifest["calibration"] = as_record(found)
     save_gains(folder / store.GAINS, job.gains, job.config)
@@ -174,16 +176,19 @@ def set_thresholds(
     *,
     runs: int = HEALTHY,
     confidence: float = 0.95,
+    follow: bool = False,
 ) -> Calibration:
     """Thresholds for a share of healthy runs with an alarm, on motions and arms that the preset's campaign does not see."""
     draws, noise = jax.random.split(jax.random.fold_in(jax.random.key(job.seed), CALIBRATION))
     scenarios = draw(job.preset, job.config, draws, np.arange(runs, dtype=np.int32))
-    return calibrate(job.config, job.gains, scenarios, noise, false_alarms=false_alarms, confidence=confidence, done=done)
+    wanted = {"false_alarms": false_alarms, "confidence": confidence, "follow": follow}
+    return calibrate(job.config, job.gains, scenarios, noise, **wanted, done=done)
 
 
 def as_record(found: Calibration) -> dict[str, Any]:
     """What calibration reached, for manifests and JSON."""
     low, high = found.reached[1:]
+    followed = {} if found.shares is None else {"follow_loss": found.shares.loss.tolist()}
     return {
         "wanted": found.wanted,
         "confidence": found.confidence,
@@ -194,7 +199,7 @@ def as_record(found: Calibration) -> dict[str, Any]:
         "fresh_runs": found.fresh,
         "false_alarm_runs": found.reached.value,
         "false_alarm_runs_95": [low, high],
-    }
+    } | followed
 
 
 def again(job: Job, scenario_id: int) -> tuple[dict[str, np.ndarray], Trace]:

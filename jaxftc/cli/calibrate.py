@@ -34,6 +34,9 @@ class Calibrate(Laws):
     lead: float | None = None
     """Weight of the innovation in the torque statistic of the cascade, 1/s^2, set before the thresholds; 10000 finds
     actuator faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
+    follow: bool = False
+    """Let the torque thresholds follow the motion: by speed, acceleration, where a joint turns round, and by the
+    torques that its links and a payload need. What they follow is fitted on the healthy runs or logs."""
     runs: int = 8192
     """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
     logs: tuple[Path, ...] = ()
@@ -77,7 +80,8 @@ class Calibrate(Laws):
         enough(self.runs, self.false_alarms, self.confidence)
         with common.folder(self, "calibrate") as folder:
             with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
-                found = set_thresholds(job, self.false_alarms, bar.update, runs=self.runs, confidence=self.confidence)
+                wanted = {"runs": self.runs, "confidence": self.confidence, "follow": self.follow}
+                found = set_thresholds(job, self.false_alarms, bar.update, **wanted)
             save_gains(folder / "gains.toml", found.gains, job.config)
             result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
             text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
@@ -92,7 +96,9 @@ class Calibrate(Laws):
             raise ValueError("--scheme and --lead do nothing with --logs: the thresholds are those of jaxftc diagnose")
         common.prepare(self)
         from jaxftc import default_gains, load_gains, save_gains
+        from jaxftc.campaigns import log_follow
         from jaxftc.campaigns.calibrate import by_joint
+        from jaxftc.campaigns.follow import with_shares
         from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
         from jaxftc.cli import record
         from jaxftc.cli.diagnose import log_config
@@ -106,13 +112,16 @@ class Calibrate(Laws):
             gains = default_gains(config, noise=reading_noise(config, default_gains(config), logs))
         else:
             gains = load_gains(self.gains, config)
-        found = calibrate_on_logs(
-            config, gains, logs, false_alarms=self.false_alarms, confidence=self.confidence, run=self.duration
-        )
+        wanted = {"false_alarms": self.false_alarms, "confidence": self.confidence, "run": self.duration}
+        found, followed = calibrate_on_logs(config, gains, logs, **wanted), {}
+        if self.follow:
+            shares = log_follow.fit(config, found.gains, logs)
+            followed = {"follow_loss": shares.loss.tolist()}
+            found = calibrate_on_logs(config, with_shares(gains, shares.values), logs, **wanted)
         with common.folder(self, "calibrate") as folder:
             save_gains(folder / "gains.toml", found.gains, config)
             result = found.promise._asdict() | by_joint(config, found.gains) | {"gains": str(folder / "gains.toml")}
-            result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]}
+            result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]} | followed
             text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
         common.say(self, log_table(config, gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
@@ -186,4 +195,16 @@ def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     for name in config.robot.joint_names:
         torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
         lines.append(f"{name:10}{torque:>28}{angle:>30}")
+    rises = {"speed, s/rad": "speed", "acceleration, s^2/rad": "acceleration", "turning round": "reversal",
+             "torque, 1/(N m)": "torque", "payload, 1/(N m)": "payload"}  # fmt: skip
+    if f"follow_{rises['speed, s/rad']}" not in now:
+        return lines
+    lines += [
+        "\nshare by which the torque threshold of a joint at rest rises with",
+        " " * 10 + "".join(map("{:>24}".format, rises)),
+    ]
+    lines += [
+        f"{name:10}" + "".join(f"{now[f'follow_{word}'][name]:24.4g}" for word in rises.values())
+        for name in config.robot.joint_names
+    ]
     return lines

@@ -79,6 +79,8 @@ class Campaign(Laws):
     false_alarms: float | None = None
     """Set the thresholds first, for this share of healthy runs with an alarm; 0.01 with --compare, otherwise those of the
     gains stay."""
+    follow: bool = False
+    """Let the torque thresholds follow the motion, as jaxftc calibrate --follow does; needs --false-alarms or --compare."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
     cluster: str | None = None
@@ -110,6 +112,8 @@ class Campaign(Laws):
         base = self.base()
         jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
+        if self.follow and share is None:
+            raise ValueError("--follow sets thresholds, and needs --false-alarms, the share of healthy runs with an alarm")
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
         with common.folder(self, "campaign", goes_on=True) as folder:
@@ -192,7 +196,7 @@ class Campaign(Laws):
 
         name, note = job.scheme, lambda text: common.say(self, text)
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
-            job, manifest = begin(folder, job, request, share, bar.update, note)
+            job, manifest = begin(folder, job, request, share, bar.update, follow=self.follow, note=note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
 
             def done(count: int) -> None:
@@ -235,6 +239,7 @@ class Campaign(Laws):
         request |= {} if self.dt is None else {"dt": self.dt}
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
+        request |= {"follow": True} if self.follow else {}
         if self.gains is not None:
             request["gains"] = [str(self.gains), fingerprint(self.gains.read_text(encoding="utf-8"))]
         return request

@@ -57,7 +57,7 @@ class Diagnose(LogOptions, common.ArmOptions):
         from jaxftc.report.diagnosis import Envelope, diagnosis_page
 
         names = arm.robot.joint_names
-        curves = {"tau": Envelope(), "q": Envelope()}
+        curves = {"tau": Envelope(), "q": Envelope(), "threshold_tau": Envelope()}
         notes: list[str] = []
         found = stream = None
         duration = 0.0
@@ -77,17 +77,17 @@ class Diagnose(LogOptions, common.ArmOptions):
                     found.add(said, begins + float(t[first]))
                     curves["tau"].add(np.asarray(said.statistic_tau))
                     curves["q"].add(np.asarray(said.statistic_q))
+                    curves["threshold_tau"].add(np.asarray(said.threshold_tau))
                     samples.add(begins + t[first : first + len(said.verdict)], said)
                     bar.update(len(said.verdict))
                 duration = begins + float(t[-1])
         assert found is not None and stream is not None
         record = timeline.as_record(found, duration)
-        level = stream.gains.diagnosis
         for note in notes:
             common.say(self, f"{path.name}: {note}")
         common.say(self, as_text(record))
         write_text(folder / "events.csv", events_csv(found.events))
-        levels = {"tau": as_row(level.alpha_tau), "q": as_row(level.alpha_q)}
+        levels = {"tau": curves["threshold_tau"].curve, "q": as_row(stream.gains.diagnosis.alpha_q)}
         write_text(
             folder / "report.html",
             diagnosis_page(f"Diagnosis of {path.name}", record, curves, levels, names, tuple(notes)),

@@ -36,7 +36,11 @@ class Alarms(NamedTuple):
     q: Array  # [n, ...] bool
 
 
-Inputs = Statistics
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    statistics: Statistics
+    threshold_tau: Array  # [n, ...] N m, of this tick
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -48,9 +52,9 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 @box("Block 7: alarms, Eq. (17)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Alarms]:
     """Alarms from the statistics. Comparisons: no gradient passes."""
-    level, state, inputs = jax.lax.stop_gradient((gains.diagnosis, state, inputs))
-    tau, tau_run = debounce(inputs.tau, level.alpha_tau, state.tau, state.tau_run, config.alarm_ticks, config.release_ticks)
-    q, q_run = debounce(inputs.q, level.alpha_q, state.q, state.q_run, 1, config.release_ticks)
+    alpha_q, state, (s, alpha_tau) = jax.lax.stop_gradient((gains.diagnosis.alpha_q, state, inputs))
+    tau, tau_run = debounce(s.tau, alpha_tau, state.tau, state.tau_run, config.alarm_ticks, config.release_ticks)
+    q, q_run = debounce(s.q, alpha_q, state.q, state.q_run, 1, config.release_ticks)
     return State(tau, tau_run, q, q_run), Alarms(tau > 0, q > 0)
 
 

@@ -30,6 +30,7 @@ class Inputs(NamedTuple):
     """What a tick takes in."""
 
     statistics: Statistics
+    threshold_tau: Array  # [n, ...] N m, of this tick
     residual_tau: Array  # [n, ...] N m
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
@@ -51,8 +52,9 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 @box("Block 7: decision, Eqs. (17), (18)")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Decision]:
     """Verdict and sensor status of this tick."""
-    alarms_next, alarms = alarm.step(config, gains, state.alarm, inputs.statistics)
-    checked = sensor_check.Inputs(alarms, inputs.residual_tau, inputs.estimate, inputs.qd_hat, inputs.qdd)
+    level = inputs.threshold_tau
+    alarms_next, alarms = alarm.step(config, gains, state.alarm, alarm.Inputs(inputs.statistics, level))
+    checked = sensor_check.Inputs(alarms, level, inputs.residual_tau, inputs.estimate, inputs.qd_hat, inputs.qdd)
     check_next, sensors = sensor_check.step(config, gains, state.check, checked)
     suspect = sensors.suspect > 0
     return State(alarms_next, check_next), Decision(verdict(alarms.tau & ~suspect, alarms.q | suspect), sensors)

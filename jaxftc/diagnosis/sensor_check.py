@@ -77,6 +77,7 @@ class Inputs(NamedTuple):
     """What a tick takes in."""
 
     alarms: Alarms
+    threshold_tau: Array  # [n, ...] N m, of this tick
     residual_tau: Array  # [n, ...] N m
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
@@ -104,7 +105,7 @@ def mask_suspect(sensors: SensorStatus, psi: Array) -> Array:
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, SensorStatus]:
     """All detectors. Comparisons: no gradient passes."""
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
-    transient = velocity_transient(config, gains, state.transient, inputs)
+    transient = velocity_transient(config, state.transient, inputs)
     jumps, many, noisy = jump_rate(state.jumps, inputs.estimate)
     unchanging, frozen = freeze(config, gains, state.freeze, inputs)
     suspect = frozen | many | (transient.found > 0)
@@ -112,14 +113,14 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     return State(transient, jumps, unchanging), status
 
 
-def velocity_transient(config: Config, gains: Gains, state: Transient, inputs: Inputs) -> Transient:
+def velocity_transient(config: Config, state: Transient, inputs: Inputs) -> Transient:
     """A torque alarm that is over too soon for a torque."""
     residual, up = jnp.abs(inputs.residual_tau), inputs.alarms.tau
     alarmed = (state.alarmed > 0) | up
     age = jnp.where(alarmed, state.age + 1, 0.0)
     peak = jnp.where(alarmed, jnp.maximum(state.peak, residual), 0.0)
     fallen = ~up | (residual < FALLEN * peak)
-    excess = peak / gains.diagnosis.alpha_tau
+    excess = peak / inputs.threshold_tau
     now = (state.alarmed > 0) & (age < config.transient_ticks) & fallen & (excess >= excess.max(0))
     quiet = jnp.where(up | inputs.alarms.q, 0.0, state.quiet + 1)
     found = jnp.where(now, 1.0, jnp.where(quiet >= round(TRANSIENT_MEMORY / config.dt), 0.0, state.found))

@@ -1,4 +1,4 @@
-"""Thresholds, Eq. (14), block 6.
+"""Statistics that are held against the thresholds, Eq. (14), block 6.
 
 Reading of TH = alpha sgn(lambda r + sum r): (1) compare r with alpha sgn(S) as printed, (2) compare |S| with alpha, where
 S = w r + (1 - w) z and z is a leaky mean of r. We take (2): (1) calls any negative residual faulty, adds a residual to a sum
@@ -35,7 +35,7 @@ class Inputs(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """S of both channels, to be held against alpha_tau and alpha_q."""
+    """S of both channels, to be held against the thresholds."""
 
     tau: Array  # [n, ...] N m
     q: Array  # [n, ...] rad

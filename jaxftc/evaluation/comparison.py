@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxftc.evaluation import verdicts
 from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.summary import ERRORS, FAULTY, Table
 
@@ -104,16 +105,23 @@ def _text(x: float | None, places: int, best: float | None, *, missed: bool) -> 
 
 
 def as_text(found: dict[str, dict[str, Any]]) -> str:
-    """The comparison table as text; one scheme makes one row."""
-    lines = [HEAD, UNITS, *cells(found)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(HEAD))]
+    """The comparison table as text, one scheme making one row, and the table of verdicts."""
+    star = "; * best of the column" if len(found) > 1 else ""
+    tables = [*_aligned(HEAD, UNITS, cells(found)), NOTE + star, ""]
+    tables += [*_aligned(verdicts.HEAD, verdicts.UNITS, verdicts.cells(found)), verdicts.NOTE]
+    lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
+    return "\n".join([*tables, *lines])
+
+
+def _aligned(head: tuple[str, ...], units: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
+    """Lines of a table, the first column to the left and the others to the right."""
+    lines = [head, units, *rows]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
     text = [
         "  ".join(c.rjust(w) if k else c.ljust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
         for line in lines
     ]
-    star = "; * best of the column" if len(found) > 1 else ""
-    lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
-    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], NOTE + star, *lines])
+    return [*text[:2], "-" * len(text[0]), *text[2:]]
 
 
 def calibrated(result: dict[str, Any]) -> str:
@@ -134,9 +142,18 @@ def thresholds(result: dict[str, Any]) -> list[str]:
     """The thresholds that ran, and which kinds of fault are mostly smaller than them, a sentence each."""
     by_channel = result.get("thresholds", {})
     words = {"alpha_tau_nm": "N m of torque", "alpha_q_deg": "deg of the encoder"}
-    lines = [
-        f"Thresholds, {words[key]}: {', '.join(f'{joint} {level:.4g}' for joint, level in levels.items())}."
-        for key, levels in by_channel.items()
+    lines = [f"Thresholds, {words[key]}: {_by_joint(levels)}." for key, levels in by_channel.items() if key in words]
+    rises = {
+        "speed": "s/rad",
+        "acceleration": "s^2/rad",
+        "reversal": "where a joint turns round",
+        "torque": "1/(N m)",
+        "payload": "1/(N m)",
+    }
+    lines += [
+        f"They rise with the {word}, {unit}: {_by_joint(by_channel[f'follow_{word}'])}."
+        for word, unit in rises.items()
+        if f"follow_{word}" in by_channel
     ]
     lines += [
         f"{100 * share:.0f} % OF THE {kind.upper()} FAULTS ARE SMALLER than their joint's threshold: few of them can raise "
@@ -145,6 +162,10 @@ def thresholds(result: dict[str, Any]) -> list[str]:
         if share > MOSTLY
     ]
     return lines
+
+
+def _by_joint(levels: dict[str, float]) -> str:
+    return ", ".join(f"{joint} {level:.4g}" for joint, level in levels.items())
 
 
 def pairs_as_text(pairs: list[dict[str, Any]]) -> str:

@@ -5,7 +5,8 @@ the last clearance. ``Score`` has one number a scenario; ``table`` makes columns
 
 An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused. A
 fault is found by an alarm that rises in that time: one that is up from before has found nothing. A fault that would begin
-after the run's end is none.
+after the run's end is none. A verdict is scored twice: soon after the alarm, and when it has had time to settle. What could
+be seen by then is beside it (``oracle.py``).
 """
 
 from __future__ import annotations
@@ -17,13 +18,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.config import Config
+from jaxftc.evaluation import oracle
 from jaxftc.evaluation.metrics import RECOVERY, SETTLE
+from jaxftc.gains import Gains
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import lanes
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array
 
+SETTLED = 0.300  # s after the alarm at which the verdict has settled; at clearance, if that comes first
 ISOLATED = 0.020  # s for which every joint's verdict must stay right to count as isolated
 ROUGH = 50.0  # Hz, above which torque counts as rough
 LEVELS = np.geomspace(1 / 4, 4, 25)  # threshold scales of the ROC; the middle one is 1
@@ -60,11 +64,19 @@ class Score(NamedTuple):
     isolated_at: Array  # s, from when on every verdict was right for ISOLATED, at or after onset
     quiet_at: Array  # s, first tick after clearance without an alarm
     verdict: Array  # [n, ...] int32, SETTLE after alarm_at; of a healthy run all that was ever said
+    settled: Array  # [n, ...] int32, SETTLED after alarm_at, or at clearance; of a healthy run all that was ever said
+    complete_at: Array  # s, first time that the verdict names every faulty joint and channel by alarms since onset
+    visible_at: Array  # s, first time that an oracle sees a fault
+    visible: Array  # [n, ...] int32, what an oracle has seen when ``verdict`` is scored; without an alarm, ever
+    visible_late: Array  # [n, ...] int32, the same for ``settled``
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
-    healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm
+    healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm, less the threshold's rise
     healthy_q: Array  # [n, ...] rad
     healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the sensor check alarmed first
     lost: Array  # bool, the arm diverged
+
+
+_TIMES = ("false_at", "began", "alarm_at", "isolated_at", "quiet_at", "complete_at", "visible_at")  # infinite before
 
 
 class State(NamedTuple):
@@ -73,9 +85,10 @@ class State(NamedTuple):
     score: Score
     tau: Array  # [n, ...] 1, last torque over its limit
     verdict: Array  # [n, ...] int32, of the last tick
+    risen: Array  # [n, ...] int32, what of it rose at or after onset
     ratio: Array  # 1, largest statistic over its threshold, of the last tick
     rough: Array  # [2, n, ...] 1, states of the high-pass filter
-    held: Array  # [alarm_ticks - 1, n, ...] N m, last torque statistics
+    held: Array  # [alarm_ticks - 1, n, ...] N m, last torque statistics, over what their thresholds had risen by
     right: Array  # ticks in a row with every verdict right
     top: Array  # 1, largest statistic over its threshold so far, before onset and from then on
 
@@ -95,9 +108,9 @@ def init(config: Config, like: Array) -> State:
     """Nothing scored yet; ``like`` [n, ...] gives scenario axes and precision."""
     zero, never = jnp.zeros_like(like[0]), jnp.full_like(like[0], jnp.inf)
     scores = {name: zero for name in Score._fields}
-    scores |= {name: never for name in ("false_at", "began", "alarm_at", "isolated_at", "quiet_at")}
+    scores |= {name: never for name in _TIMES}
+    scores |= {name: jnp.zeros(like.shape, jnp.int32) for name in ("verdict", "settled", "visible", "visible_late")}
     scores |= {
-        "verdict": jnp.zeros(like.shape, jnp.int32),
         "crossed": jnp.full((len(LEVELS), *zero.shape), jnp.inf, like.dtype),
         "healthy_tau": jnp.zeros_like(like),
         "healthy_q": jnp.zeros_like(like),
@@ -105,10 +118,11 @@ def init(config: Config, like: Array) -> State:
     }
     held = jnp.zeros((config.alarm_ticks - 1, *like.shape), like.dtype)
     rough = jnp.zeros((2, *like.shape), like.dtype)
-    return State(Score(**scores), jnp.zeros_like(like), scores["verdict"], zero, rough, held, right=zero, top=zero)
+    none = scores["verdict"]
+    return State(Score(**scores), jnp.zeros_like(like), none, none, zero, rough, held, right=zero, top=zero)
 
 
-def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
+def step(config: Config, gains: Gains, true: Truth, state: State, tick: Trace) -> State:
     """One tick: ``tick`` is a ``Trace`` of a moment, [n, ...]."""
     score, out, t = state.score, tick.out, tick.t
     limit = scale(config, tick.q)
@@ -125,12 +139,19 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
     alarm_at = jnp.minimum(score.alarm_at, jnp.where(rises & excused, t, jnp.inf))
     right = jnp.where((t >= true.onset) & (out.verdict == true.wanted).all(0), state.right + 1, 0.0)
     enough = round(ISOLATED / config.dt)
-    scoring = true.healthy | (t <= alarm_at + SETTLE + 0.5 * config.dt) & (alarm_at <= t)
+    until = alarm_at + SETTLE + 0.5 * config.dt
+    until_late = jnp.maximum(alarm_at, jnp.minimum(alarm_at + SETTLED, true.clear)) + 0.5 * config.dt
+    scoring, settling = (true.healthy | (t <= end) & (alarm_at <= t) for end in (until, until_late))
+    said = jnp.where(true.healthy, score.verdict, 0)  # of a healthy run everything counts
+    risen = jnp.where(t >= true.onset, out.verdict & (state.risen | ~state.verdict), 0)
+    complete = (risen & true.wanted == true.wanted).all(0) & excused & ~true.healthy
+    sight = oracle.step(oracle.Sight(score.visible_at, score.visible, score.visible_late), tick, until, until_late)
 
-    size_tau, size_q = jnp.abs(out.statistic_tau), jnp.abs(out.statistic_q)
+    at_rest = trailing(gains.diagnosis.alpha_tau, 1, error.ndim - 1)
+    size_tau, size_q = jnp.abs(out.statistic_tau) * (at_rest / out.threshold_tau), jnp.abs(out.statistic_q)
     history = jnp.concatenate([state.held, size_tau[None]])
     lasting = history.min(0)
-    ratio = jnp.maximum(lasting / out.threshold_tau, size_q / out.threshold_q).max(0)
+    ratio = jnp.maximum(lasting / at_rest, size_q / out.threshold_q).max(0)
     top = jnp.where((t >= true.onset) & (t - config.dt < true.onset), 0.0, state.top)
     by_check = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be that alarm's own
     ratio = jnp.where(by_check, jnp.inf, ratio)
@@ -155,7 +176,12 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
             alarm_at=alarm_at,
             isolated_at=jnp.minimum(score.isolated_at, jnp.where(right >= enough, t - (enough - 1) * config.dt, jnp.inf)),
             quiet_at=jnp.minimum(score.quiet_at, jnp.where(~out.detected & (t > true.clear), t, jnp.inf)),
-            verdict=jnp.where(scoring, jnp.where(true.healthy, score.verdict | out.verdict, out.verdict), score.verdict),
+            verdict=jnp.where(scoring, said | out.verdict, score.verdict),
+            settled=jnp.where(settling, said | out.verdict, score.settled),
+            complete_at=jnp.minimum(score.complete_at, jnp.where(complete, t, jnp.inf)),
+            visible_at=sight.at,
+            visible=sight.early,
+            visible_late=sight.late,
             crossed=jnp.minimum(score.crossed, jnp.where(excused & (ratio >= levels) & (state.ratio < levels), t, jnp.inf)),
             healthy_tau=jnp.where(before, jnp.maximum(score.healthy_tau, lasting), score.healthy_tau),
             healthy_q=jnp.where(before, jnp.maximum(score.healthy_q, size_q), score.healthy_q),
@@ -166,6 +192,7 @@ def step(config: Config, true: Truth, state: State, tick: Trace) -> State:
         rough=filtered,
         held=history[1:],
         verdict=out.verdict,
+        risen=risen,
         ratio=ratio,
         right=right,
         top=jnp.maximum(top, ratio),

@@ -26,6 +26,7 @@ ERRORS = {  # and the kinds of scenario that they are taken over: an estimate co
     "chattering": LABELS,
 }
 MORE = ("tracking_max_deg", "rough", "effort", "peak", "saturated_share")  # beside them, by kind of fault
+ISOLATION = {"kind": "isolation_kind", "joint": "isolation_joint", "verdict": "isolation"}  # columns' word, figure
 FIXED = 0.01  # share of healthy runs with an alarm at which delays are compared
 
 Table = Mapping[str, np.ndarray]
@@ -60,6 +61,9 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
+    for column in ("visible_s", "complete_s"):
+        medians = {name: median(rows[column][kind == name]) for name in FAULTY}
+        found[f"{column[:-2]}_median_s"] = {name: _number(found_at.value) for name, found_at in medians.items()}
     found["confusion"] = confusion(rows).tolist()
     gone = rows["detected"] & (rows["kind_hat"] == NORMAL)
     found["alarm_gone"] = [int((gone & (kind == name)).sum()) for name in LABELS]  # of those said to be normal
@@ -83,7 +87,7 @@ def confusion(rows: Table) -> np.ndarray:
 
 
 def small(rows: Table, gains: Gains) -> dict[str, float]:
-    """Share of the biases of a channel that are smaller than their joint's threshold; a channel without any is left out."""
+    """Share of the biases of a channel that are smaller than their joint's threshold at rest; without any it is left out."""
     levels = {"actuator bias": ("tau", np.asarray(gains.diagnosis.alpha_tau, float))}
     levels["encoder bias"] = ("q", np.rad2deg(np.asarray(gains.diagnosis.alpha_q, float)))
     found = {}
@@ -130,23 +134,33 @@ def _at_fixed(curve: dict[str, Any]) -> dict[str, Any]:
 def _by_kind(rows: Table) -> dict[str, dict[str, Any]]:
     parts = by_kind(rows)
     found = {name: _detection(part) for name, part in parts.items()}
-    for column in ("delay_s", "isolated_s", "recovery_s", *ERRORS, *MORE):
+    for column in ("delay_s", "visible_s", "isolated_s", "complete_s", "recovery_s", *ERRORS, *MORE):
         for name, part in parts.items():
             found[name] |= _median(column, part[column])
     return found
 
 
 def _detection(rows: Table) -> dict[str, Any]:
-    """Detection, and isolation among the detected."""
-    detected = rows["detected"]
-    found: dict[str, Any] = {"n_faults": len(detected)} | _share("detection", detected)
-    for name, column in (
-        ("isolation_kind", "kind_right"),
-        ("isolation_joint", "joint_right"),
-        ("isolation", "verdict_right"),
-    ):
-        found |= _share(name, rows[column][detected])
+    """Detection, and isolation among the detected, soon and settled; beside each share the ceiling, which an oracle reaches.
+
+    ``x_unseen`` is the share of what was missed, or wrong, that no oracle could have had right.
+    """
+    detected, seen = rows["detected"], np.isfinite(rows["visible_s"])
+    found: dict[str, Any] = (
+        {"n_faults": len(detected)} | _share("detection", detected) | _ceiling("detection", detected, seen)
+    )
+    for part in ISOLATION:
+        for when in ("", "_settled"):
+            right, visible = (rows[f"{part}_{word}{when}"][detected] for word in ("right", "visible"))
+            name = f"{ISOLATION[part]}{when}"
+            found |= _share(name, right) | _ceiling(name, right, visible)
     return found
+
+
+def _ceiling(name: str, right: np.ndarray, visible: np.ndarray) -> dict[str, Any]:
+    """Share of the runs that an oracle has right, and of those that are wrong the share that it has wrong too."""
+    shares = {f"{name}_ceiling": visible, f"{name}_unseen": ~visible[~right]}
+    return {key: _number(_mean(flags)) for key, flags in shares.items()}
 
 
 def _median(column: str, values: np.ndarray) -> dict[str, Any]:

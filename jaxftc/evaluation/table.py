@@ -41,7 +41,7 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     tau, q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
     has_tau, ill = tau.faulty.any(0), tau.faulty | q.faulty
     wanted, healthy = Verdict.ACTUATOR * tau.faulty | Verdict.SENSOR * q.faulty, ~ill.any(0)
-    verdict = np.asarray(score.verdict)
+    verdict, settled = np.asarray(score.verdict), np.asarray(score.settled)
     kind, kind_hat = _either(wanted), _either(verdict)
     clear = np.maximum(tau.last, q.last)
     ticks, dt, n, lost = config.ticks, config.dt, config.n, np.asarray(score.lost)
@@ -84,9 +84,13 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
         "joint_hat": _first(verdict > 0),
         "joint_tau_hat": _first(verdict & Verdict.ACTUATOR > 0),
         "joint_q_hat": _first(verdict & Verdict.SENSOR > 0),
-        "kind_right": kind_hat == kind,
-        "joint_right": ((verdict > 0) == ill).all(0),
-        "verdict_right": (verdict == wanted).all(0),
+        **_right("right", verdict, wanted),
+        **_right("visible", np.asarray(score.visible), wanted),
+        "kind_hat_settled": np.asarray(LABELS)[_either(settled)],
+        **_right("right_settled", settled, wanted),
+        **_right("visible_settled", np.asarray(score.visible_late), wanted),
+        "complete_s": since(score.complete_at),
+        "visible_s": since(score.visible_at),
         "false_alarm": np.asarray(score.false_ticks) > 0,
         "false_ticks": np.asarray(score.false_ticks, np.int64),
         "false_events": np.asarray(score.false_events, np.int64),
@@ -115,6 +119,12 @@ def _double(x: Any) -> np.ndarray:
 def _either(verdict: np.ndarray) -> np.ndarray:
     """One verdict [scenarios] from those of the joints [n, scenarios]: both if both channels are named anywhere."""
     return np.bitwise_or.reduce(np.asarray(verdict, np.int64), axis=0)
+
+
+def _right(name: str, verdict: np.ndarray, wanted: np.ndarray) -> dict[str, np.ndarray]:
+    """Whether a verdict [n, scenarios] names the channels, the joints, and both for every joint."""
+    found = {"kind": _either(verdict) == _either(wanted), "joint": ((verdict > 0) == (wanted > 0)).all(0)}
+    return {f"{part}_{name}": right for part, right in (found | {"verdict": (verdict == wanted).all(0)}).items()}
 
 
 def _first(where: np.ndarray) -> np.ndarray:

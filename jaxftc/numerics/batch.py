@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxftc.types import Array
 
@@ -10,6 +11,6 @@ from jaxftc.types import Array
 def trailing(leaf: Array, rank: int, axes: int) -> Array:
     """Give a constant of own rank ``rank`` the singleton scenario axes it lacks: [n] -> [n, 1, ...].
 
-    A leaf that has scenario axes of its own keeps them.
+    A leaf that has scenario axes of its own keeps them. What is known when tracing, a NumPy array, stays known.
     """
-    return jnp.reshape(leaf, leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))
+    return (np if isinstance(leaf, np.ndarray) else jnp).reshape(leaf, leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))

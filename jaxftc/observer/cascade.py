@@ -149,15 +149,17 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
 
 
 @box("Blocks 1 to 4: the correction enters the model, Eqs. (6), (9)")
-def adapt(config: Config, gains: Gains, state: State, seen: Estimate, residual_tau: Array, on: Stages) -> State:
-    """Let the fuzzy stage learn from the torque residual [n, ...] N m, and the correction into the angle's bank.
+def adapt(
+    config: Config, gains: Gains, state: State, seen: Estimate, residual_tau: Array, threshold_tau: Array, on: Stages
+) -> State:
+    """Let the fuzzy stage learn from the torque residual and its threshold [n, ...] N m, and the correction into the model.
 
     x+ = A x + b_y (y_hat + alpha_p e) + b_v (v + psi): the correction enters through b_y, the fault through b_v; the input's
     bank waits for the torque that is really commanded (``apply_input``).
     """
     fuzzy = state.fuzzy
     if on.fuzzy is not False:
-        inputs = takagi_sugeno.Inputs(seen.e, seen.jump.h_s, residual_tau)
+        inputs = takagi_sugeno.Inputs(seen.e, seen.jump.h_s, residual_tau, threshold_tau)
         fuzzy = either(on.fuzzy, takagi_sugeno.step(config, gains, fuzzy, inputs)[0], fuzzy)
     corrected = seen.y_hat + gains.observer.alpha_p * seen.e  # Eq. (6)
     x_a = laguerre.advance(gains.arx.xi_a, state.arx.x_a, corrected)

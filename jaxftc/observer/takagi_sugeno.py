@@ -43,6 +43,7 @@ class Inputs(NamedTuple):
     e: Array  # [n, ...] rad, innovation left after the jump
     h_s: Array  # [n, ...] grade with which it jumped
     residual_tau: Array  # [n, ...] N m
+    threshold_tau: Array  # [n, ...] N m, of this tick
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -77,6 +78,6 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     """
     del config
     own = gains.observer
-    h = takagi_sugeno.weights(inputs.residual_tau, gains.diagnosis.alpha_tau, inputs.h_s, own.tau_centres, own.tau_widths)
+    h = takagi_sugeno.weights(inputs.residual_tau, inputs.threshold_tau, inputs.h_s, own.tau_centres, own.tau_widths)
     drive = (h.actuator * own.alpha_f1 + h.both * own.alpha_f3) * inputs.e  # Eq. (9)
     return state._replace(psi=(1 - own.leak) * state.psi + drive), state.psi

@@ -14,7 +14,7 @@ from plotly.subplots import make_subplots
 
 from jaxftc.config import Config
 from jaxftc.evaluation import comparison as versus
-from jaxftc.evaluation import metrics
+from jaxftc.evaluation import metrics, verdicts
 from jaxftc.evaluation.summary import FAULTY, Table, by_kind
 from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
@@ -28,6 +28,7 @@ def campaign(
     """One scheme's page; ``result`` is its summary, with what ran."""
     sections = [
         table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS),
+        _verdicts({result["scheme"]: result}),
         f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
         *(f"<p>{html.escape(line)}</p>" for line in versus.thresholds(result)),
         "<h2>What was true, what was said</h2>",
@@ -56,6 +57,7 @@ def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]], ra
     text = versus.pairs_as_text(pairs)
     sections = [
         table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE}; * best of the column.</p>",
+        _verdicts(found),
         *(
             f"<p>{html.escape(name)}: {html.escape(line)}</p>"
             for name, result in found.items()
@@ -160,18 +162,27 @@ def _ringed(scales: list[float]) -> dict[str, Any]:
     }
 
 
+def _verdicts(found: dict[str, dict[str, Any]]) -> str:
+    return table(verdicts.HEAD, verdicts.cells(found), units=verdicts.UNITS) + f"<p>{verdicts.NOTE}.</p>"
+
+
 def _kinds(result: dict[str, Any]) -> str:
-    head = ("fault", "n", "detected", "kind right", "joint right", "delay", "its 95 %", "isolated", "torque est.",
-            "angle est.", "tracking")  # fmt: skip
-    units = ("", "", "%", "% of det.", "% of det.", "median ms", "ms", "median ms", "rms N m", "rms deg", "rms deg")
+    head = ("fault", "n", "detected", "kind right", "joint right", "kind settled", "joint settled", "delay", "its 95 %",
+            "all told", "isolated", "torque est.", "angle est.", "tracking")  # fmt: skip
+    units = ("", "", "% (oracle)", *("% of det. (oracle)",) * 4, "median ms", "ms", "median ms", "median ms", "rms N m",
+             "rms deg", "rms deg")  # fmt: skip
     lines = []
     for name, part in result["by_kind"].items():
         bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
-        shares = (_show(part[k], 100, 1) for k in ("detection", "isolation_kind", "isolation_joint"))
+        shares = (f"{_show(part[k], 100, 1)} ({_show(part[f'{k}_ceiling'], 100, 1)})" for k in SHARES)
         errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
-        delay, isolated = (_show(part[k], 1e3, 0, "missed") for k in ("delay_median_s", "isolated_median_s"))
-        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, isolated, *errors))
+        times = ("delay", "complete", "isolated")
+        delay, told, isolated = (_show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in times)
+        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, told, isolated, *errors))
     return table(head, lines, units=units)
+
+
+SHARES = ("detection", "isolation_kind", "isolation_joint", "isolation_kind_settled", "isolation_joint_settled")
 
 
 def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:

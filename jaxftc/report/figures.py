@@ -30,7 +30,7 @@ class Panel(NamedTuple):
 
     axis: str  # quantity and unit
     curves: dict[str, tuple[np.ndarray, dict[str, Any]]]  # name -> signal [T, n], line
-    threshold: np.ndarray | None = None  # [n], drawn at both signs
+    threshold: np.ndarray | None = None  # [n], or [T, n] where it moves; drawn at both signs
 
 
 def by_joint(t: np.ndarray, panels: list[Panel], joints: tuple[str, ...]) -> go.Figure:
@@ -90,13 +90,14 @@ def thin(y: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _threshold(figure: go.Figure, t: np.ndarray, panel: Panel, joint: int, row: int) -> None:
     """Both signs of a joint's threshold; a scheme without that channel has none that is finite."""
-    if panel.threshold is None or not np.isfinite(panel.threshold[joint]):
+    if panel.threshold is None or not np.isfinite(panel.threshold[..., joint]).all():
         return
-    level, ends = float(panel.threshold[joint]), [float(t[0]), float(t[-1])]
+    level = np.atleast_1d(panel.threshold[..., joint])
+    level = thin(level)[0] if np.ptp(level) else np.repeat(level[:1], 2)
     for sign in (1, -1):
         figure.add_scatter(
-            x=ends, y=[sign * level] * 2, name="threshold", mode="lines", line=LIMIT, showlegend=False,
-            meta={"joint": joint}, row=row, col=1,
+            x=np.linspace(t[0], t[-1], len(level)), y=sign * level, name="threshold", mode="lines", line=LIMIT,
+            showlegend=False, meta={"joint": joint}, row=row, col=1,
         )  # fmt: skip
 
 
@@ -132,7 +133,7 @@ def finish(figure: go.Figure, title: str, note: str = "", *, panels: int = 1, **
 
 def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, shown: int | None = None) -> go.Figure:
     """S of both channels, Eq. (14), with thresholds, and verdicts; faults shaded; all joints, or ``shown`` at first."""
-    torque = Panel("S, torque residual, N m", {"": (trace["statistic_tau"], {})}, trace["threshold_tau"][0])
+    torque = Panel("S, torque residual, N m", {"": (trace["statistic_tau"], {})}, trace["threshold_tau"])
     angle = Panel(
         "S, encoder residual, deg", {"": (np.rad2deg(trace["statistic_q"]), {})}, np.rad2deg(trace["threshold_q"][0])
     )

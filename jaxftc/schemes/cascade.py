@@ -14,7 +14,7 @@ from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import fuzzy_gain, last_command, sliding_mode
 from jaxftc.control.last_command import LastCommand
-from jaxftc.diagnosis import decision, residuals, sensor_check, statistics
+from jaxftc.diagnosis import decision, residuals, sensor_check, statistics, threshold
 from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
 from jaxftc.observer import adaptation, cascade, super_twisting, takagi_sugeno
@@ -109,17 +109,18 @@ def step(
     at = rigid_body.pose(config.robot, seen.q_hat)
     mass = dynamics.nominal_mass(config.robot, at)
     residual = residuals.generate(mass, seen)  # line 5
-    observer = cascade.adapt(config, gains, observer, seen, residual.tau, on)
+    level = threshold.of_reference(config.robot, gains.diagnosis, reference)
+    observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
     control, law = sliding_mode.step(config, gains, state.control, _to_control(config, applied, seen, reference, on))
     learning, learned = _learn(config, gains, state, at, mass, seen, law, reference)
     command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
     statistic = _trusted(statistic, learned)
-    inputs = decision.Inputs(statistic, real, seen, law.qd_hat, applied.qdd)
+    inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
-    return state, _report(config, gains, seen, residual, statistic, said, law, command)
+    return state, _report(config, gains, seen, residual, statistic, level, said, law, command)
 
 
 @box("What the last command did, Eqs. (2), (3)")
@@ -215,6 +216,7 @@ def _report(
     seen: Estimate,
     residual: residuals.Residuals,
     statistic: statistics.Statistics,
+    threshold_tau: Array,
     said: decision.Decision,
     law: sliding_mode.Command,
     command: LastCommand,
@@ -229,7 +231,7 @@ def _report(
         residual_q=residual.q,
         statistic_tau=statistic.tau,
         statistic_q=statistic.q,
-        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, tau.shape),
+        threshold_tau=threshold_tau,
         threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
         verdict=said.verdict,
         detected=(said.verdict > 0).any(0),

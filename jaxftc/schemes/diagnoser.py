@@ -7,6 +7,9 @@ the mean of two. Statistics, alarms and verdicts are the cascade's.
 
 * A joint that stands, or turns round, holds an unknown torque by friction, up to ``diagnosis.stiction``. What the residual
   exceeds that by is judged. Once it has stood for a while, so are changes of what it held.
+* The torque threshold follows the estimated motion, low-passed as the residual is: a model that is off by b |qd| gives a
+  residual of at most b times the low-passed |qd|. A fault moves the arm too, so while there is an alarm of a joint its
+  threshold may fall and not rise.
 * A reading that is held to be wrong explains the torque residuals of all joints: their model was evaluated at it. A jump is
   taken out of the reading and explains nothing.
 
@@ -23,7 +26,7 @@ import numpy as np
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.diagnosis import alarm, decision, statistics
+from jaxftc.diagnosis import alarm, decision, statistics, threshold
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import kinematic, stability
@@ -47,6 +50,7 @@ class State(NamedTuple):
     slow: Array  # [n, ...] s since the joint came to rest, or turned round
     age: Array  # [n, ...] ticks since the torque residual began
     statistics: statistics.State
+    motion: threshold.Motion  # low-passed
     alarm: alarm.State
 
     @property
@@ -90,6 +94,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         slow=zero,
         age=zero,
         statistics=statistics.init(config, gains, q),
+        motion=threshold.Motion(*[zero] * len(threshold.FOLLOW)),
         alarm=alarm.init(config, gains, q),
     )
 
@@ -104,7 +109,11 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
     means, statistic = statistics.step(config, gains, state.statistics, watched)
     statistic = statistic._replace(tau=jnp.where(settled, statistic.tau, 0.0))
-    alarms_next, alarms = alarm.step(config, gains, state.alarm, statistic)
+    motion, level = state.motion, jnp.broadcast_to(gains.diagnosis.alpha_tau, seen.q_hat.shape)
+    if threshold.follows(gains.diagnosis):
+        motion = _motion(config, gains, state, seen, tracker.psi)
+        level = threshold.torque(gains.diagnosis, motion)
+    alarms_next, alarms = alarm.step(config, gains, state.alarm, alarm.Inputs(statistic, level))
     lost = ~(jnp.isfinite(statistic.tau) & jnp.isfinite(statistic.q))  # cannot be judged, which is not normal
     verdict = decision.verdict(alarms.tau | lost, alarms.q | seen.wrong | lost)
     said = Diagnosis(
@@ -114,14 +123,14 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         fault_q_hat=seen.fault_q,
         statistic_tau=statistic.tau,
         statistic_q=statistic.q,
-        threshold_tau=jnp.broadcast_to(gains.diagnosis.alpha_tau, verdict.shape),
+        threshold_tau=level,
         threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, verdict.shape),
         suspect=seen.wrong.astype(watched.tau.dtype),
         jump=seen.w,
         q_hat=seen.q_hat,
         qd_hat=seen.qd_hat,
     )
-    return State(tracker, residual, measurement.tau, offset, slow, age, means, alarms_next), said
+    return State(tracker, residual, measurement.tau, offset, slow, age, means, motion, alarms_next), said
 
 
 def _balance(
@@ -134,14 +143,29 @@ def _balance(
     """
     now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
     middle = before._replace(drift=0.5 * (before.drift + now[1]))
-    first = -jnp.log1p(-1 / (state.age + 1.001)) / config.dt  # a mean of all so far
-    rate = jnp.maximum(gains.diagnosis.rate, first)
-    r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, rate).r
+    r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, _rate(config, gains, state)).r
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
     blind = (seen.missing | (seen.h_s > 0.1)).any(0)
     anew = (seen.wrong | ~seen.known).any(0)
     age = jnp.where(anew, 0.0, state.age + known)
     return momentum.Observer(jnp.where(anew, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
+
+
+def _rate(config: Config, gains: Gains, state: State) -> Array:
+    """Bandwidth [n, ...] 1/s of the residual in this tick: at first it is a mean of all so far."""
+    first = -jnp.log1p(-1 / (state.age + 1.001)) / config.dt
+    return jnp.maximum(gains.diagnosis.rate, first)
+
+
+def _motion(config: Config, gains: Gains, state: State, seen: kinematic.Estimate, qdd: Array) -> threshold.Motion:
+    """The motion that the threshold follows, low-passed as the residual is; qdd [n, ...] rad/s^2 is its acceleration.
+
+    Nothing is taken of a reading that is held to be wrong.
+    """
+    now = threshold.motion(config.robot, seen.q_hat, seen.qd_hat, qdd)
+    share = jnp.where(seen.wrong | ~seen.known, 0.0, -jnp.expm1(-_rate(config, gains, state) * config.dt))
+    share = [jnp.where((state.alarm.tau > 0) & (new > old), 0.0, share) for new, old in zip(now, state.motion, strict=True)]
+    return threshold.Motion(*(old + s * (new - old) for old, new, s in zip(state.motion, now, share, strict=True)))
 
 
 def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array]:

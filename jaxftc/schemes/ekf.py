@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
-from jaxftc.diagnosis import alarm, decision
+from jaxftc.diagnosis import alarm, decision, threshold
 from jaxftc.diagnosis.sensor_check import JUMP_MEMORY, MANY_JUMPS
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
@@ -72,7 +72,7 @@ class State(NamedTuple):
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
     del config
-    return {*computed_torque.TRACKING, *NOISES, "diagnosis.alpha_tau", "diagnosis.alpha_q"}
+    return {*computed_torque.TRACKING, *NOISES, "diagnosis.alpha_tau", "diagnosis.alpha_q", *threshold.GAINS}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -96,13 +96,14 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     qd = qd + 0.5 * config.dt * qdd  # q+ - q = T qd+: the integrator's speed is that of half a tick ago (control/surface.py)
     command = computed_torque.law(config, gains, q, qd, reference, fault_tau)
 
-    own, alarms = alarm.step(config, gains, state.alarm, Statistics(fault_tau, fault_q))
+    level = threshold.of_reference(config.robot, gains.diagnosis, reference)
+    own, alarms = alarm.step(config, gains, state.alarm, alarm.Inputs(Statistics(fault_tau, fault_q), level))
     said = output(
         config,
         command.tau,
         q,
         qd,
-        threshold_tau=gains.diagnosis.alpha_tau,
+        threshold_tau=level,
         threshold_q=gains.diagnosis.alpha_q,
         fault_tau=fault_tau,
         fault_q=fault_q,

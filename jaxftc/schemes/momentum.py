@@ -26,7 +26,7 @@ import jax.numpy as jnp
 from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control.last_command import LastCommand, applied_acceleration, hold
-from jaxftc.diagnosis import alarm, decision
+from jaxftc.diagnosis import alarm, decision, threshold
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import BaselineGains, Gains
 from jaxftc.numerics.barrier import unstack
@@ -74,7 +74,7 @@ class State(NamedTuple):
 
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that this scheme reads."""
-    return computed_torque.gains_used(config) | {"baseline.rate", "diagnosis.alpha_tau"}
+    return computed_torque.gains_used(config) | {"baseline.rate", "diagnosis.alpha_tau", *threshold.GAINS}
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -95,14 +95,16 @@ def step(config: Config, gains: Gains, state: State, reference: Reference, measu
     motion = computed_torque.follow(config, gains, state.motion, qdd, measurement.q)
     now = momentum(config.robot, motion.q, motion.half)
     observer = observe(gains.baseline, state.observer, now, measurement.tau, config.dt)
-    own, alarms = alarm.step(config, gains, state.alarm, Statistics(observer.r, jnp.zeros_like(observer.r)))
+    level = threshold.of_reference(config.robot, gains.diagnosis, reference)
+    found = alarm.Inputs(Statistics(observer.r, jnp.zeros_like(observer.r)), level)
+    own, alarms = alarm.step(config, gains, state.alarm, found)
     command = computed_torque.law(config, gains, motion.q, motion.qd, reference, observer.r)
     said = output(
         config,
         command.tau,
         motion.q,
         motion.qd,
-        threshold_tau=gains.diagnosis.alpha_tau,
+        threshold_tau=level,
         fault_tau=observer.r,
         verdict=decision.verdict(alarms.tau, alarms.q),
     )

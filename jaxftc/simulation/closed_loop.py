@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxftc import checks, stages
 from jaxftc.compile.xla import Kind, jit
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains
 from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
@@ -93,7 +94,7 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
 def rollout(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Trace:
     """``simulate`` without its checks, scenarios on trailing axes; gains may have the same axes behind their own."""
     return _PROGRAMS[program_kind(config.engine, one_arm=jnp.ndim(scenario.id) == 0)](
-        stages.general(config), stages.as_data(config), gains, scenario, key
+        stages.general(config), threshold.follows(gains.diagnosis), stages.as_data(config), gains, scenario, key
     )
 
 
@@ -231,6 +232,11 @@ def run_loop(config: Config, on: stages.Stages | None, gains: Gains, scenario: S
     return watch(config, gains, scenario, key, (), lambda seen, tick: (seen, tick), on)[1]
 
 
+def _run(config: Config, follows: bool, on: stages.Stages | None, gains: Gains, scenario: Scenario, key: Array) -> Trace:
+    """``run_loop`` of gains whose thresholds follow the motion, or are known not to."""
+    return run_loop(config, on, gains if follows else threshold.known_constant(gains), scenario, key)
+
+
 def program_kind(engine: str, *, one_arm: bool = False) -> Kind:
     """How a program of the closed loop is compiled."""
     return "mjx" if engine == "mjx" else "one arm" if one_arm else "batch"
@@ -244,7 +250,7 @@ def blank_trace() -> Trace:
 
 _trail = jax.jit(trail)
 _KINDS: tuple[Kind, ...] = ("batch", "one arm", "mjx")
-_PROGRAMS: dict[Kind, Any] = {kind: jit(run_loop, kind=kind, static_argnums=0) for kind in _KINDS}
+_PROGRAMS: dict[Kind, Any] = {kind: jit(_run, kind=kind, static_argnums=(0, 1)) for kind in _KINDS}
 
 
 def _align(fault: Fault, axes: int) -> Fault:

@@ -34,7 +34,8 @@ def setting():
         parts.append(drawn._replace(id=drawn.id + 100 * k, **early))
     scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     dropout = scenarios.fault_q._replace(kind=scenarios.fault_q.kind.at[0, 1].set(Sensor.DROPOUT))
-    return config, jaxftc.default_gains(config), scenarios._replace(fault_q=dropout)
+    gains = jaxftc.default_gains(config).replace({"diagnosis.follow_speed": 0.2, "diagnosis.follow_torque": 0.05})
+    return config, gains, scenarios._replace(fault_q=dropout)
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +49,17 @@ def trace(setting):
     return jax.tree.map(np.asarray, jaxftc.simulate(config, gains, scenarios, jax.random.key(7)))
 
 
+@pytest.fixture(scope="module")
+def twins(setting, trace):
+    """Scores of every run, written down tick by tick."""
+    config, gains, scenarios = setting
+    at_rest, one = np.asarray(gains.diagnosis.alpha_tau), lambda k: jax.tree.map(lambda x: np.asarray(x)[k], scenarios)
+    return [twin.score(config, one(k), metrics.columns(trace, k), at_rest) for k in range(len(scenarios.id))]
+
+
 @pytest.mark.parametrize("field", online.Score._fields)
-def test_every_score_equals_its_twin(setting, scores, trace, field):
-    config, _, scenarios = setting
-    expected = [
-        twin.score(config, jax.tree.map(lambda x, k=k: np.asarray(x)[k], scenarios), metrics.columns(trace, k))[field]
-        for k in range(len(scenarios.id))
-    ]
+def test_every_score_equals_its_twin(setting, scores, twins, field):
+    expected = [score[field] for score in twins]
     got = np.moveaxis(getattr(scores, field), -1, 0)
     assert not scores.lost.any() and np.isfinite(np.asarray(expected, float)[:, ...] if field == "ise" else 0.0).all()
     np.testing.assert_allclose(got, np.array(expected, float), rtol=1e-7, atol=1e-12, err_msg=field)
@@ -137,12 +142,11 @@ def scoring():
             tick = jaxftc.Trace(
                 t=t, q=zero, qd=zero, y=zero, q_ref=zero, tau_applied=zero, fault_tau=zero, fault_q=zero, out=out
             )
-            return online.step(config, true, state, tick), None
+            return online.step(config, gains, true, state, tick), None
 
         ticks = jnp.arange(TICKS) * config.dt
         return jax.lax.scan(body, online.init(config, zero), (ticks, alarm, statistic))[0].score
 
-    del gains
     return config, jax.jit(call)
 
 

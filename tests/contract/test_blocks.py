@@ -76,12 +76,12 @@ SMALL = [
     Block("pi", pi, stage.Inputs(1e-3, 1.0, None)),
     Block("super-twisting-smooth", super_twisting, stage.Inputs(1e-3, 1.0, None)),
     Block("super-twisting-hard", super_twisting, stage.Inputs(1e-3, 1.0, None), (("sign", "hard"),)),
-    Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0)),
+    Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0, 2.0)),
     Block("adaptation", adaptation, adaptation.Inputs(3.0, 2.0, False, adaptation.Columns(2.0, 1.0, 1.0))),
     Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
-    Block("alarm", alarm, alarm.Inputs(3.0, 0.02)),
-    Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 3.0, ESTIMATE, 2.0, 1.0)),
-    Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 3.0, ESTIMATE, 2.0, 1.0)),
+    Block("alarm", alarm, alarm.Inputs(statistics.Statistics(3.0, 0.02), 2.0)),
+    Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 2.0, 3.0, ESTIMATE, 2.0, 1.0)),
+    Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 2.0, 3.0, ESTIMATE, 2.0, 1.0)),
     *(
         Block(
             f"sliding-mode-{control}",

@@ -10,6 +10,7 @@ import pytest
 from jax.test_util import check_jvp, check_vjp
 
 import jaxftc
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import specs
 from jaxftc.scenarios.faults import Actuator, Sensor
 from tests.arms import three_hinges
@@ -69,7 +70,8 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
     n = config.n
     floor = jnp.where(jnp.arange(n) < n / 2, 0.1, 2.9)  # the first joints below it, the last above
     control = {"control.k_b": 1.0, "control.floor": floor}
-    return gains.replace(control | {"diagnosis.lam_q": 0.7, "diagnosis.alpha_q": JUMP, "diagnosis.lead": 1e3})
+    follow = dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.01), strict=True))
+    return gains.replace(control | follow | {"diagnosis.lam_q": 0.7, "diagnosis.alpha_q": JUMP, "diagnosis.lead": 1e3})
 
 
 def faulty(config: jaxftc.Config) -> jaxftc.Scenario:

@@ -20,7 +20,7 @@ from twins import threshold as twin_threshold
 import jaxftc
 from jaxftc import stages
 from jaxftc.control import fuzzy_gain, sliding_mode, surface
-from jaxftc.diagnosis import sensor_check, statistics
+from jaxftc.diagnosis import sensor_check, statistics, threshold
 from jaxftc.fuzzy import rule_table
 from jaxftc.gains import align
 from jaxftc.observer import arx, cascade, laguerre, stability
@@ -117,7 +117,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
         reading = cascade.Reading(jnp.asarray(y), jnp.asarray(history[2]), sensors)
         state, seen = cascade.correct(config, gains, state, reading, on)
         residual = mass @ np.asarray(seen.psi)
-        state = cascade.adapt(config, gains, state, seen, jnp.asarray(residual), on)
+        state = cascade.adapt(config, gains, state, seen, jnp.asarray(residual), gains.diagnosis.alpha_tau, on)
         state = cascade.apply_input(gains, state, jnp.asarray(v) + seen.psi)
         close = {
             "y_hat": seen.y_hat, "e": seen.e, "q_hat": seen.q_hat, "psi": seen.psi, "residual_tau": residual,
@@ -153,7 +153,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
 def test_statistic_is_the_twin(r, z, w, leak):
     config = jaxftc.Config(three_hinges(), engine="chain")
     values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
-    values |= {"rate": 10.0, "stiction": 0.0}
+    values |= {"rate": 10.0, "stiction": 0.0} | dict.fromkeys(threshold.FOLLOW, 0.0)
     own = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
     gains = dataclasses.replace(jaxftc.default_gains(config), diagnosis=own)
     start, inputs = statistics.State(jnp.asarray(z), jnp.zeros(3)), statistics.Inputs(jnp.asarray(r), jnp.asarray(r))
@@ -290,7 +290,7 @@ def test_zero_gains_leave_the_open_model(config):
     reading = cascade.Reading(jnp.full(6, 1.3), jnp.zeros(6), sensor_check.nothing_found(jnp.zeros(6)))
     for _ in range(5):
         state, seen = cascade.correct(config, gains, state, reading, on)
-        state = cascade.adapt(config, gains, state, seen, jnp.zeros(6), on)
+        state = cascade.adapt(config, gains, state, seen, jnp.zeros(6), jnp.ones(6), on)
         state = cascade.apply_input(gains, state, seen.psi)
         np.testing.assert_allclose(seen.y_hat, 1.0, atol=1e-9)
         np.testing.assert_array_equal(seen.psi, 0.0)

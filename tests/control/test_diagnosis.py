@@ -44,7 +44,7 @@ def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
         own = gains.diagnosis
         statistics = Statistics(s_tau[k] * own.alpha_tau, s_q[k] * own.alpha_q)
         residual = (s_tau if r_tau is None else r_tau)[k] * own.alpha_tau
-        inputs = decision.Inputs(statistics, residual, now, jnp.full(n, float(speed)), jnp.zeros(n))
+        inputs = decision.Inputs(statistics, own.alpha_tau, residual, now, jnp.full(n, float(speed)), jnp.zeros(n))
         state, said = _decide(config, gains, state, inputs)
         verdicts.append(np.asarray(said.verdict))
     return np.array(verdicts)
@@ -168,7 +168,8 @@ def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
     for k in range(40):
         jump = Jump(jnp.abs(h[k]), jnp.sign(h[k]), jnp.zeros(2), jnp.zeros(2))
         seen = blank(2)._replace(y=jnp.full(2, 1e-3 * k), jump=jump)
-        state, said = _decide(two, gains, state, decision.Inputs(Statistics(zero, zero), zero, seen, jnp.ones(2), zero))
+        inputs = decision.Inputs(Statistics(zero, zero), gains.diagnosis.alpha_tau, zero, seen, jnp.ones(2), zero)
+        state, said = _decide(two, gains, state, inputs)
     np.testing.assert_array_equal(said.sensors.noisy, [0, 1])
     np.testing.assert_array_equal(said.sensors.suspect, [1, 1])
 

@@ -30,7 +30,7 @@ def run(config, gains, y, d):
     for reading, fault in zip(y, d, strict=True):
         taken = cascade.Reading(jnp.asarray(angle + reading), jnp.zeros(config.n), calm)
         state, seen = cascade.correct(config, gains, state, taken, on)
-        state = cascade.adapt(config, gains, state, seen, jnp.zeros(config.n), on)
+        state = cascade.adapt(config, gains, state, seen, jnp.zeros(config.n), gains.diagnosis.alpha_tau, on)
         state = cascade.apply_input(gains, state, seen.psi)
         found.append((np.asarray(seen.e), np.asarray(seen.psi)))
         speed = speed + config.dt * fault

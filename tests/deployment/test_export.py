@@ -16,6 +16,7 @@ from jaxftc.cli import common
 from jaxftc.cli.main import main
 from jaxftc.compile import c99, native
 from jaxftc.compile.scalars import scalars
+from jaxftc.diagnosis import threshold
 from jaxftc.export import check, stablehlo
 from jaxftc.export.artifact import Native, StableHLO
 from jaxftc.export.tick import precision
@@ -36,6 +37,7 @@ def config(scheme="cascade", robot=None, **settings):
 def written(folder, settings, **options):
     with precision("double"):
         gains = jaxftc.default_gains(settings)
+        gains = gains.replace(dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.1), strict=True)))  # thresholds that move
     return jaxftc.export.write(settings, gains, folder, **options)
 
 

@@ -10,7 +10,8 @@ import pytest
 
 import jaxftc
 from jaxftc import logs
-from jaxftc.campaigns import log_thresholds
+from jaxftc.campaigns import log_follow, log_thresholds
+from jaxftc.campaigns.follow import with_shares
 from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
 from jaxftc.cli.main import main
 from jaxftc.gains_file import save_gains
@@ -117,6 +118,29 @@ def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fa
     sizes = {"actuator": (8.0, "N m"), "bias": (1.0, "deg")}
     if fault.__name__ in sizes:
         assert (abs(event.size), event.unit) == (pytest.approx(sizes[fault.__name__][0], rel=0.15), sizes[fault.__name__][1])
+
+
+def rubbing(log):
+    """The log of an arm with more viscous friction than its model has."""
+    return log._replace(tau=log.tau + 1.5 * np.gradient(log.q, DT, axis=0))
+
+
+def test_thresholds_follow_a_motion_that_the_model_has_wrong(config, calibration, arm, log):
+    healthy_logs = [rubbing(healthy(arm, seed, 24.0)) for seed in (1, 2)]
+    plain = calibrate_on_logs(config, calibration.gains, healthy_logs, false_alarms=0.1)
+    shares = log_follow.fit(config, plain.gains, healthy_logs)
+    assert (shares.values >= 0).all() and (shares.loss < 0.95).any() and (shares.loss <= 1).all()
+    moving = calibrate_on_logs(config, with_shares(calibration.gains, shares.values), healthy_logs, false_alarms=0.1)
+    follows = shares.values.any(1)
+    at_rest = [np.asarray(found.gains.diagnosis.alpha_tau)[follows] for found in (plain, moving)]
+    assert (at_rest[1] < 0.9 * at_rest[0]).all()
+    fresh = rubbing(log)
+    assert not events(config, moving.gains, fresh).events and moving.promise.seen == 0
+    tau = fresh.tau.copy()
+    tau[ON:, 1] -= 8.0
+    found = [events(config, gains, fresh._replace(tau=tau)).events for gains in (plain.gains, moving.gains)]
+    assert [(event.joint, event.kind) for event in found[1]] == [(2, "actuator")]
+    assert not found[0] or found[1][0].start_s <= found[0][0].start_s + 0.05
 
 
 def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 
 import jaxftc
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import BLOCKS, check, specs
 from jaxftc.observer import arx
 from tests.contract.test_gradients import CASES
@@ -131,6 +132,8 @@ def test_idle_gains_are_those_without_a_gradient(name):
 def test_names_and_blocks_select(config):
     tunable = transform.tunable(config)
     assert transform.select(config, ["diagnosis"]) == tuple(n for n in tunable if n.startswith("diagnosis."))
+    assert not set(threshold.GAINS) & set(transform.select(config))  # they move only if they are named
+    assert transform.select(config, [threshold.GAINS[0]]) == (threshold.GAINS[0],)
     assert "control.lam" not in transform.select(config, (), ["control.lam"])
     assert set(transform.select(config, ["observer", POLES])) == {n for n in tunable if n.startswith(("observer.", "arx."))}
 

@@ -20,8 +20,15 @@ def truth(config, scenario):
     return wanted, float(min(onset for onset, _ in faults)), float(max(clear for _, clear in faults))
 
 
-def score(config, scenario, trace):
-    """Every field of Score for one run; ``trace`` is a column per signal, [T, n]."""
+def visible_bits(trace):
+    """Bits [T, n] of the faults that are as large as their thresholds, or without a reading."""
+    tau = np.abs(trace["fault_tau"]) >= trace["threshold_tau"]
+    q = (np.abs(trace["fault_q"]) >= trace["threshold_q"]) | np.isnan(trace["y"])
+    return tau + 2 * q
+
+
+def score(config, scenario, trace, at_rest):
+    """Every field of Score for one run; ``trace`` is a column per signal, [T, n], ``at_rest`` [n] N m a threshold."""
     wanted, onset, clear = truth(config, scenario)
     healthy = not wanted.any()
     t, limit, dt = trace["t"], config.robot.torque_limit, config.dt
@@ -63,13 +70,27 @@ def score(config, scenario, trace):
     else:
         said = np.zeros(len(wanted), int)
 
+    settled, complete_at, bits = said, np.inf, visible_bits(trace)
+    if not healthy and np.isfinite(alarm_at):
+        last = max(first, min(first + 300, int(np.flatnonzero(t <= clear + 0.5 * dt)[-1])))
+        settled = verdict[min(last, len(t) - 1)]
+    up = np.zeros(len(wanted), int)
+    for k in range(len(t)):
+        if t[k] >= onset:
+            up = verdict[k] & (up | ~(verdict[k - 1] if k else 0 * verdict[k]))  # by alarms that rose since onset
+        if not healthy and onset <= t[k] <= clear + 0.1 and (up & wanted == wanted).all():
+            complete_at = min(complete_at, t[k])
+    ends = alarm_at + 0.06 + 0.5 * dt, max(alarm_at, min(alarm_at + 0.3, clear)) + 0.5 * dt
+    visible, visible_late = (np.bitwise_or.reduce(bits[t <= end], axis=0) for end in ends)
+
+    rise = trace["threshold_tau"] / at_rest
     lasting = np.zeros_like(trace["statistic_tau"])
     for k in range(config.alarm_ticks - 1, len(t)):
-        lasting[k] = np.abs(trace["statistic_tau"][k - config.alarm_ticks + 1 : k + 1]).min(0)
+        lasting[k] = (np.abs(trace["statistic_tau"]) / rise)[k - config.alarm_ticks + 1 : k + 1].min(0)
     size_q = np.abs(trace["statistic_q"])
     ratio, top = np.zeros(len(t)), 0.0
     for k in range(len(t)):
-        ratio[k] = max((lasting[k] / trace["threshold_tau"][k]).max(), (size_q[k] / trace["threshold_q"][k]).max())
+        ratio[k] = max((lasting[k] / at_rest).max(), (size_q[k] / trace["threshold_q"][k]).max())
         if t[k] >= onset > t[k] - dt:
             top = 0.0
         if max(top, ratio[k]) < 1 and trace["suspect"][k].any():
@@ -98,6 +119,11 @@ def score(config, scenario, trace):
         "isolated_at": isolated_at,
         "quiet_at": quiet_at,
         "verdict": said,
+        "settled": settled,
+        "complete_at": complete_at,
+        "visible_at": min(t[bits.any(1)], default=np.inf),
+        "visible": visible,
+        "visible_late": visible_late,
         "crossed": np.array([min(t[window & up], default=np.inf) for up in rising]),
         "healthy_tau": lasting[early].max(0, initial=0),
         "healthy_q": size_q[early].max(0, initial=0),

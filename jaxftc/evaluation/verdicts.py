@@ -1,0 +1,39 @@
+"""Schemes' verdicts beside what an oracle could have said: soon after the alarm, and once they have settled."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from jaxftc.evaluation.metrics import SETTLE
+from jaxftc.evaluation.online import SETTLED
+from jaxftc.evaluation.summary import FAULTY
+
+SOON, LATE = f"{1e3 * SETTLE:.0f} ms", f"{1e3 * SETTLED:.0f} ms"
+HEAD = ("verdict", "detected", "kind", "joint", "both", "kind", "joint", "both", *FAULTY, "two faults")
+UNITS = ("", "%", *(f"% at {SOON}",) * 3, *(f"% at {LATE}",) * 3, *("delay ms",) * 3, "both told, ms")
+SHARES = ("detection", *(f"isolation{part}{when}" for when in ("", "_settled") for part in ("_kind", "_joint", "")))
+NOTE = (
+    f"right of what was detected, {SOON} and {LATE} after the alarm, the latter at clearance if that is sooner; an oracle "
+    "knows every fault that has been as large as its threshold (jaxftc/evaluation/oracle.py)"
+)
+
+
+def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
+    """Two rows a scheme: what it said, and what an oracle could have said at the same moments."""
+    rows = []
+    for name, result in found.items():
+        rows.append(_row(name, result, "", "delay"))
+        rows.append(_row(f"oracle, {name}", result, "_ceiling", "visible"))
+    return rows
+
+
+def _row(name: str, result: dict[str, Any], kind: str, time: str) -> tuple[str, ...]:
+    shares = [_show(result[f"{share}{kind}"], 100, 2) for share in SHARES]
+    drawn, times = result["n_by_kind"], result[f"{time}_median_s"]
+    delays = [_show(times[fault], 1e3, 0, "missed" if drawn[fault] else "-") for fault in FAULTY]
+    told = _show(result["complete_median_s"]["both"], 1e3, 0, "never" if drawn["both"] else "-") if not kind else "-"
+    return (name, *shares, *delays, told)
+
+
+def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
+    return absent if x is None else f"{factor * x:.{places}f}"
