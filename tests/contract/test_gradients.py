@@ -70,7 +70,7 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
     n = config.n
     floor = jnp.where(jnp.arange(n) < n / 2, 0.1, 2.9)  # the first joints below it, the last above
     control = {"control.k_b": 1.0, "control.floor": floor}
-    follow = dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.01), strict=True))
+    follow = dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.01, 0.02), strict=True))
     return gains.replace(control | follow | {"diagnosis.lam_q": 0.7, "diagnosis.alpha_q": JUMP, "diagnosis.lead": 1e3})
 
 

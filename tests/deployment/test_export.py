@@ -37,7 +37,7 @@ def config(scheme="cascade", robot=None, **settings):
 def written(folder, settings, **options):
     with precision("double"):
         gains = jaxftc.default_gains(settings)
-        gains = gains.replace(dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.1), strict=True)))  # thresholds that move
+        gains = gains.replace(dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.1, 0.4), strict=True)))  # thresholds that move
     return jaxftc.export.write(settings, gains, folder, **options)
 
 
