@@ -7,6 +7,7 @@ machine end with the process that began it, however that ends.
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import os
 import socket
@@ -99,6 +100,10 @@ class Cluster:
     def nodes(self) -> int:
         """Nodes that are there now."""
         return sum(node["Alive"] for node in self._ray.nodes())
+
+    def share(self, value: Any) -> Callable[[], Any]:
+        """A function that gives the value in any worker."""
+        return functools.partial(self._ray.get, self._ray.put(value))
 
     def submit(self, fun: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Run a function on one core, again if its worker or its node is lost; what it raises is raised here."""

@@ -7,9 +7,7 @@ a file count, are added by the one process that gives out the tasks.
 
 from __future__ import annotations
 
-import functools
 import os
-import pickle
 import socket
 import sys
 from collections.abc import Callable, Iterable
@@ -36,21 +34,34 @@ class Workers(Protocol):
         """How many there are now."""
         ...
 
+    def share(self, value: Any) -> Callable[[], Any]:
+        """A function that gives the value where it is called, in any of them."""
+        ...
+
     def submit(self, fun: Callable[..., Any], /, *args: Any) -> Future[Any]:
         """Run a function in one of them, again in another one if it is lost."""
         ...
 
 
-class Task(NamedTuple):
-    """What a worker has to know of a campaign, a chunk apart."""
+class Conditions(NamedTuple):
+    """What a worker's process must be like."""
 
-    job: bytes  # pickled: it is read when the process is as the rest says
     manifest: str  # SHA-256 of the one in the campaign's folder
     versions: str  # the last digits of a row depend on them, on the flags and on the precision
     flags: str  # XLA_FLAGS
     x64: bool
     cached: bool  # compiled programs are kept in the user's cache folder
     folder: str  # where a scheme of the user's is looked for, after all other places
+
+
+class Task(NamedTuple):
+    """What a worker has to know of a campaign, a chunk apart."""
+
+    job: Callable[[], Job]  # to be called when the process is as it must be
+    conditions: Conditions
+
+
+_begun: dict[tuple[Conditions, Path], Job] = {}  # one job, so that all its chunks in a process share a program
 
 
 def spread(workers: Workers, *, cached: bool) -> Runner:
@@ -60,7 +71,7 @@ def spread(workers: Workers, *, cached: bool) -> Runner:
         task, folders, running = None, set[Path](), dict[Future[str], store.Chunk]()
         for chunk in chunks:
             folders.add(chunk.path.parent)
-            task = task or _task(job, chunk.path.parent, cached)
+            task = task or Task(workers.share(job), _conditions(chunk.path.parent, cached))
             running[workers.submit(run_chunk, task, chunk._replace(path=chunk.path.absolute()))] = chunk
             while len(running) >= AHEAD * max(1, workers.cores):
                 _keep_some(running, tell)
@@ -72,10 +83,10 @@ def spread(workers: Workers, *, cached: bool) -> Runner:
     return run
 
 
-def _task(job: Job, folder: Path, cached: bool) -> Task:
+def _conditions(folder: Path, cached: bool) -> Conditions:
     x64 = bool(program_cache.setting("enable_x64"))
     manifest, flags = digest(folder / store.MANIFEST), os.environ.get("XLA_FLAGS", "")
-    return Task(pickle.dumps(job), manifest, _versions(), flags, x64, cached, os.getcwd())
+    return Conditions(manifest, _versions(), flags, x64, cached, os.getcwd())
 
 
 def _versions() -> str:
@@ -98,24 +109,27 @@ def run_chunk(task: Task, chunk: store.Chunk) -> str:
         ValueError: the rows would not be those of the process that asks for them.
         OSError: the file cannot be written.
     """
-    return write(_begun(task, chunk.path.parent), chunk, lambda count: None, at_a_time=1)
+    folder = chunk.path.parent
+    if (task.conditions, folder) not in _begun:
+        _begun.clear()
+        _begun[task.conditions, folder] = _begin(task, folder)
+    return write(_begun[task.conditions, folder], chunk, lambda count: None, at_a_time=1)
 
 
-@functools.lru_cache(maxsize=1)
-def _begun(task: Task, folder: Path) -> Job:
-    """The job, in a process that is as the one that asks: once for all its chunks, so that they share a program."""
-    where = f"on {socket.gethostname()}"
-    if task.versions != _versions():
-        raise ValueError(f"{where} there is {_versions()}, here {task.versions}; install the same on every machine")
-    if not (folder / store.MANIFEST).is_file() or digest(folder / store.MANIFEST) != task.manifest:
+def _begin(task: Task, folder: Path) -> Job:
+    """The job, in a process that is as the one that asks."""
+    asked, where = task.conditions, f"on {socket.gethostname()}"
+    if asked.versions != _versions():
+        raise ValueError(f"{where} there is {_versions()}, here {asked.versions}; install the same on every machine")
+    if not (folder / store.MANIFEST).is_file() or digest(folder / store.MANIFEST) != asked.manifest:
         raise ValueError(f"{where} {folder} is not the folder that it is here; give --out on a disk that all machines share")
-    os.environ |= {"XLA_FLAGS": task.flags, "TF_CPP_MIN_LOG_LEVEL": "3"}
+    os.environ |= {"XLA_FLAGS": asked.flags, "TF_CPP_MIN_LOG_LEVEL": "3"}
     jax.config.update("jax_platforms", "cpu")
-    jax.config.update("jax_enable_x64", task.x64)
-    if task.cached:
+    jax.config.update("jax_enable_x64", asked.x64)
+    if asked.cached:
         program_cache.keep()
-    sys.path += [path for path in (task.folder,) if path not in sys.path]
-    job = pickle.loads(task.job)
+    sys.path += [path for path in (asked.folder,) if path not in sys.path]
+    job = task.job()
     if store.read_manifest(folder)["config"] != describe(job.config):
         raise ValueError(f"{where} scheme {job.scheme!r} is other code than here; copy its file to every machine")
     return job

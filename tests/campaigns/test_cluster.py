@@ -71,6 +71,10 @@ class Threads:
     def __init__(self, runs=lambda fun, *args: fun(*args)):
         self._pool, self._runs = ThreadPoolExecutor(self.cores), runs
 
+    @staticmethod
+    def share(value):
+        return lambda: value
+
     def submit(self, fun, /, *args):
         return self._pool.submit(self._runs, fun, *args)
 
@@ -107,6 +111,8 @@ class Backwards:
 
     def __init__(self):
         self.waiting, self.most = [], 0
+
+    share = Threads.share
 
     def submit(self, fun, /, *args):
         future = Future()
@@ -159,15 +165,16 @@ def test_an_error_of_a_worker_is_the_campaigns_and_what_is_there_stays(job, begi
 def test_a_machine_that_would_write_other_rows_is_refused(job, begin, tmp_path, monkeypatch):
     folder = begin(tmp_path / "run")
     chunk = next(store.chunks(folder, ROWS, ROWS))
-    task = tasks._task(job, folder, cached=False)
+    asked = tasks._conditions(folder, cached=False)
+    task = tasks.Task(lambda: job, asked)
     with pytest.raises(ValueError, match=r"there is jaxftc .*, here jaxftc 0, jax 1; install the same on every machine"):
-        tasks.run_chunk(task._replace(versions="jaxftc 0, jax 1"), chunk)
+        tasks.run_chunk(task._replace(conditions=asked._replace(versions="jaxftc 0, jax 1")), chunk)
     elsewhere = chunk._replace(path=tmp_path / "elsewhere" / chunk.path.name)
     with pytest.raises(ValueError, match=r"elsewhere is not the folder that it is here; give --out on a disk that all"):
         tasks.run_chunk(task, elsewhere)
     monkeypatch.setattr(tasks, "describe", lambda config: {"scheme_source": "edited"})
     with pytest.raises(ValueError, match=r"scheme 'cascade' is other code than here"):
-        tasks.run_chunk(task._replace(folder=str(tmp_path)), chunk)
+        tasks.run_chunk(task._replace(conditions=asked._replace(folder=str(tmp_path))), chunk)
     assert not list(tmp_path.rglob("*.parquet"))
 
 
