@@ -112,7 +112,7 @@ class Backwards:
     def __init__(self):
         self.waiting, self.most = [], 0
 
-    share = Threads.share
+    share = staticmethod(Threads.share)
 
     def submit(self, fun, /, *args):
         future = Future()
