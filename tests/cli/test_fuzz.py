@@ -1,5 +1,6 @@
 """Anything for an input: it is refused in one line, or taken as it was said. Thousands of cases, none compiles anything."""
 
+import copy
 import dataclasses
 import json
 import math
@@ -35,7 +36,7 @@ ODD = (
     | st.floats()
     | st.text(max_size=8)
     | st.lists(st.floats(-10, 10), max_size=7)
-)
+).map(copy.deepcopy)  # a list that went into a table may get entries there
 
 
 def many(what):
