@@ -60,7 +60,7 @@ class Freeze(NamedTuple):
 
     y: Array  # rad, last reading
     equal: Array  # readings in a row that did not change or did not come
-    lost: Array  # readings in a row that did not come
+    lost: Array  # readings in a row that were not used
     speed: Array  # rad/s, of the arm since the reading last changed
     travel: Array  # rad, by which it should have moved since
 
@@ -140,7 +140,7 @@ def freeze(config: Config, gains: Gains, state: Freeze, inputs: Inputs) -> tuple
     seen = inputs.estimate
     unchanged = seen.missing | (seen.y == state.y)
     equal = jnp.where(unchanged, state.equal + 1, 0.0)
-    lost = jnp.where(seen.absent, state.lost + 1, 0.0)  # one that does not come to an arm at rest is no freeze
+    lost = jnp.where(seen.missing, state.lost + 1, 0.0)  # one alone that does not come to an arm at rest is no freeze
     stepped = jnp.abs(seen.y - state.y) / (config.dt * (state.equal + 1))  # of a coarse encoder: one count in so many ticks
     changed = jnp.where(state.equal > 0, jnp.clip(inputs.qd_hat, -stepped, stepped), inputs.qd_hat)
     ahead = state.speed + config.dt * inputs.qdd
@@ -148,5 +148,5 @@ def freeze(config: Config, gains: Gains, state: Freeze, inputs: Inputs) -> tuple
     speed = jnp.where(unchanged, ahead, changed)
     travel = jnp.where(unchanged, state.travel + config.dt * jnp.abs(state.speed), 0.0)
     moved = travel > gains.observer.jump
-    frozen = ((equal >= FROZEN_READINGS) & moved) | (lost >= FROZEN_READINGS)
+    frozen = ((equal >= FROZEN_READINGS) & moved) | ((lost >= FROZEN_READINGS) & seen.absent)
     return Freeze(seen.y, equal, lost, speed, travel), frozen

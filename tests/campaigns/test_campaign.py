@@ -410,8 +410,12 @@ def table_of(**columns):
     """Rows of a summary, made by hand; what is not given is 1 throughout."""
     count = len(columns["kind"])
     names = {*summary.ERRORS, *summary.MORE, *summary.CROSSINGS, "isolated_s", "recovery_s", "healthy_ratio", "delay_s"}
+    names |= {"visible_s", "complete_s"}
     rest = dict.fromkeys(names, np.ones(count)) | {name: np.zeros(count, bool) for name in ("diverged", "false_alarm")}
-    right = {name: np.ones(count, bool) for name in ("kind_right", "joint_right", "verdict_right", "detected")}
+    parts = [
+        f"{part}_{word}{when}" for part in summary.ISOLATION for word in ("right", "visible") for when in ("", "_settled")
+    ]
+    right = {name: np.ones(count, bool) for name in (*parts, "detected")}
     return rest | right | {"onset_s": np.full(count, 0.1)} | columns
 
 

@@ -84,7 +84,7 @@ def test_a_tick_uses_no_gain_that_is_idle(scheme):
     state = jax.tree.map(lambda x: x + 1e-3 * jnp.ones_like(x), jaxftc.init(config, gains, q))
 
     def cost(gains):
-        told = jaxftc.Reference(q + 0.1, zero, zero), jaxftc.Measurement(q + 1e-3, state.command.tau + 0.1)
+        told = jaxftc.Reference(q + 0.1, zero + 0.2, zero + 0.3), jaxftc.Measurement(q + 1e-3, state.command.tau + 0.1)
         leaves = jax.tree.leaves(jaxftc.step(config, gains, state, *told))
         return sum(
             (jnp.where(jnp.isfinite(leaf), leaf, 0.0) ** 2).sum() for leaf in leaves

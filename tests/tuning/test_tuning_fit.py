@@ -156,7 +156,7 @@ class Plain:
 class Constant:
     """A problem whose slope is 1 everywhere."""
 
-    key, kind, cached_as, program_kind = jax.random.key(0), ("constant",), None, "batch"
+    key, kind, cached_as, program_kind, sharding = jax.random.key(0), ("constant",), None, "batch", None
 
     def slope_of(self, layout, mode, size):
         return lambda key, free, theta, widen, scenarios, start: (jnp.zeros((1, 2)), jnp.ones((1, 2)))
