@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
-import numpy as np
-
 from jaxftc.types import Array
 
 
@@ -13,4 +10,4 @@ def trailing(leaf: Array, rank: int, axes: int) -> Array:
 
     A leaf that has scenario axes of its own keeps them. What is known when tracing, a NumPy array, stays known.
     """
-    return (np if isinstance(leaf, np.ndarray) else jnp).reshape(leaf, leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))
+    return leaf.reshape(leaf.shape + (1,) * max(rank + axes - leaf.ndim, 0))
