@@ -158,9 +158,8 @@ def _program(
         return last.score, trace
 
     like = online.Score(*[0] * len(online.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
-    known = (
-        f"{config!r} {follows}" if config.scheme in SCHEMES else None
-    )  # the code of a user's scheme is not in a program's name
+    # The code of a user's scheme is not in a program's name.
+    known = f"{config!r} {follows}" if config.scheme in SCHEMES else None
     run = jit(block, kind=program_kind(config.engine), cached_as=known, like=like)
     return lambda key, on, gains, scenarios: run(key, on, gains, trail(scenarios))
 
