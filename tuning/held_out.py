@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.evaluation import intervals
 from jaxftc.evaluation.intervals import Interval, bootstrap
 from jaxftc.gains import Gains
@@ -131,8 +132,9 @@ def compare(
     """
     draw, noise = jax.random.split(key)
     found = []
+    follows = any(threshold.follows(gains.diagnosis) for gains in (before, after))
     for sign in ("smooth", "hard"):
-        problem = Problem(dataclasses.replace(config, sign=sign), objective, noise, batch)
+        problem = Problem(dataclasses.replace(config, sign=sign), objective, noise, batch, follows=follows)
         for preset in presets:
             scenarios = sample_scenarios(draw, n, preset, config=config)
             scores = [problem.scores(gains, scenarios) for gains in (before, after)]

@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxftc.compile import processes
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains
 from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import check as check_scenario
@@ -128,7 +129,8 @@ def fit(
     training, validation = _split(config, gains, scenarios, validation, settings)
     if not objective:
         raise ValueError("the objective has no terms; give at least one, or tuning.OBJECTIVE")
-    problem = Problem(config, objective, key, settings.batch)
+    follows = threshold.follows(gains.diagnosis) or not set(space.names).isdisjoint(threshold.GAINS)
+    problem = Problem(config, objective, key, settings.batch, follows=follows)
     check_terms("limit", objective, limits)
     run = _Run(problem, space, training, validation, settings, limits)
     path = None if folder is None or not processes.first() else folder / checkpoint.NAME

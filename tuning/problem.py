@@ -18,6 +18,7 @@ from jaxftc import stages
 from jaxftc.compile.devices import everywhere, over_scenarios
 from jaxftc.compile.xla import Kind, jit
 from jaxftc.config import Config
+from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains
 from jaxftc.scenarios.scenario import Scenario, take, trail
 from jaxftc.simulation.closed_loop import program_kind, run_loop
@@ -41,15 +42,19 @@ class Problem:
     gains are compared run by run.
     """
 
-    def __init__(self, config: Config, objective: Mapping[str, Term], key: Array, batch: int) -> None:
+    def __init__(
+        self, config: Config, objective: Mapping[str, Term], key: Array, batch: int, *, follows: bool = True
+    ) -> None:
+        """``follows`` says whether torque thresholds may follow the motion; without it programs do not look at that."""
         self.config, self.objective, self.key, self.batch = config, dict(objective), key, batch
+        self._follows = follows
         self.names = tuple(self.objective)
         self.weights = np.array([term.weight for term in self.objective.values()], float)
         # Programs of built-in terms serve every observer and controller; a user's own terms may look at the config.
         built = all(getattr(built_in, term.value.__name__, None) is term.value for term in self.objective.values())
         self.stages = stages.as_data(config) if built else None
         self._traced = stages.general(config) if built else config
-        self.kind = self._traced, tuple(self.objective.items()), batch
+        self.kind = self._traced, tuple(self.objective.items()), batch, follows
         self.program_kind: Kind = program_kind(config.engine)
         # Programs are kept between processes where their names tell all of their code: a user's is not looked at.
         self.cached_as = _cached_as(*self.kind) if built and config.scheme in SCHEMES else None
@@ -95,6 +100,7 @@ class Problem:
 
     def _simulated(self, key: Array, on: Stages | None, gains: Gains, scenarios: Scenario) -> Array:
         """The other terms, [terms, B]."""
+        gains = gains if self._follows else threshold.known_constant(gains)
         trace = run_loop(self._traced, stages.as_data(self.config) if on is None else on, gains, scenarios, key)
         run = Run(self._traced, gains, scenarios, trace, on)
         rows = _rows([term.value(run) for term in self.objective.values() if not term.gains_only], scenarios.id.shape)
@@ -199,10 +205,10 @@ def shared(kind: tuple[Any, ...], make: Callable[[], Any]) -> Any:
     return _programs[kind]
 
 
-def _cached_as(config: Config, objective: tuple[tuple[str, Term], ...], batch: int) -> str:
+def _cached_as(config: Config, objective: tuple[tuple[str, Term], ...], batch: int, follows: bool) -> str:
     """What a problem's programs are made of."""
     every = [(name, term.weight, term.value.__name__, term.gains_only) for name, term in objective]
-    return repr((config, every, batch))
+    return repr((config, every, batch, follows))
 
 
 def _rows(values: list[Array], axes: tuple[int, ...]) -> Array:
