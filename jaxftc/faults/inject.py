@@ -21,7 +21,7 @@ from jaxftc.simulation import fault_injection
 from jaxftc.simulation.fault_injection import State
 from jaxftc.types import Array
 
-UNSEEN = fault_injection.Motion(0.0, 0.0, 1.0, 1.0)  # kinds that need to know how the arm moves are not offered here
+MOTION_UNKNOWN = fault_injection.Motion(0.0, 0.0, 1.0, 1.0)  # kinds that need to know how the arm moves are not offered here
 
 
 class Faults(NamedTuple):
@@ -99,7 +99,7 @@ def deliver(
     """
     command = jnp.asarray(command)
     limits = jnp.broadcast_to(jnp.asarray(limit, command.dtype), command.shape)
-    return fault_injection.deliver(faults.fault_tau, state, _time(t), command, limits, UNSEEN)
+    return fault_injection.deliver(faults.fault_tau, state, _time(t), command, limits, MOTION_UNKNOWN)
 
 
 def read(
