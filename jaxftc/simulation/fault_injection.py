@@ -1,7 +1,7 @@
 """What a fault does to the torque that reaches the arm and to the reading that reaches the controller.
 
 Every kind is computed and the one that is there is selected, so that kinds are data. The first-order jump at onset has no
-gradient with respect to onset. Magnitudes have one, but for those that count: ticks of a delay, the size of an encoder's count.
+gradient with respect to onset. Magnitudes have one, but for the ticks of a delay and the size of an encoder's count.
 """
 
 from __future__ import annotations
