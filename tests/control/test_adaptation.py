@@ -16,6 +16,7 @@ from jaxftc.robot import dynamics, rigid_body
 from jaxftc.scenarios import reference
 from jaxftc.types import Measurement, Verdict
 from tests.arms import three_hinges
+from tests.backends import BACKENDS
 
 N, DT = 3, 1e-3
 LOAD, FRICTION = 0.4, 1.15  # kg, factor: what the arms of these tests have that their model has not
@@ -251,7 +252,7 @@ def test_it_follows_from_the_log_alone(config, gains):
 # Around it.
 
 
-@pytest.mark.parametrize("backend", ["xla", "c"])
+@pytest.mark.parametrize("backend", BACKENDS)
 def test_the_compiled_tick_learns_the_same(config, gains, backend):
     tick = jaxftc.Tick(config, gains, backend=backend)
     q, zero = np.array([0.1, -0.4, 0.3]), np.zeros(N)

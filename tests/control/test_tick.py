@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.compile import native
 from tests.arms import three_hinges
-
-needs_c = pytest.mark.skipif(native.compiler() is None, reason="no C compiler on this machine")
-BACKENDS = ["xla", pytest.param("c", marks=needs_c)]
+from tests.backends import BACKENDS
 
 
 @pytest.fixture(scope="module")

@@ -23,8 +23,8 @@ from jaxftc.export.tick import precision
 from jaxftc.export.tick import tick as make_tick
 from jaxftc.variants import variants
 from tests.arms import two_hinges
+from tests.backends import needs_c
 
-needs_c = pytest.mark.skipif(native.compiler() is None, reason="no C compiler on this machine")
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
 SANITIZED = ("-fsanitize=undefined,address", "-fno-sanitize-recover=all", "-O0")
 

@@ -15,6 +15,7 @@ from jaxftc import Verdict, realtime
 from jaxftc.compile import native
 from jaxftc.realtime.reaction import Phase, Reaction
 from jaxftc.robot.model_file import compile_robot
+from tests.backends import needs_c
 
 START = np.array([0.3, -0.2])
 STILL = np.zeros(2)
@@ -365,10 +366,9 @@ def test_what_cannot_be_run_is_refused_before_it_starts(loop, tmp_path):
         realtime.SafeStop(loop.config, brake=0.001)
 
 
+@needs_c
 def test_the_tick_may_be_c_code(loop):
     """The same commands, but for rounding; another backend is refused."""
-    if not native.compiler():
-        pytest.skip("needs a C compiler")
     written = []
     config, hold = loop.config, loop.reference
     gains = jaxftc.default_gains(config)
