@@ -80,6 +80,7 @@ class SensorStatus(NamedTuple):
     transient: Array  # [n, ...] 1 where a velocity transient was found
     frozen: Array  # [n, ...] 1 where it is held to be frozen
     noisy: Array  # [n, ...] 1 where it is held to be noisy
+    resolution: Array  # [n, ...] rad, size of the counts in which it comes where they are coarse, else 0
 
 
 class Output(NamedTuple):

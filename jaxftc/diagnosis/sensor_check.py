@@ -8,7 +8,10 @@ The torque channel sees them first; each detector here takes one kind for what i
   the largest counts: the inertia matrix spreads it to the neighbours;
 * ``freeze``: equal readings while the arm moved by more than a jump's worth since the last change, or no reading at all. How
   far it moved is the speed it had, less what a coarse encoder makes of a single count, and its model's acceleration since;
-* ``jump_rate``: noise or a steep drift, many jumps in a tenth of a second, to and fro or one way.
+* ``jump_rate``: noise or a steep drift, many jumps in a tenth of a second, to and fro or one way;
+* ``coarse_counts``: a reading that goes straight on or turns by a jump's worth, and never by less. It says no more than
+  that the angle is within half a count of it, and that is all that the observer takes from it: taken for jumps, its counts
+  would explain the motion itself away. Noise of such a size is told in the same way.
 
 A reading found out in this way explains the torque residual of its joint, and the acceleration it feigned is kept out of the
 other joints' residuals (``mask_suspect``).
@@ -34,6 +37,8 @@ from jaxftc.types import Array, SensorStatus
 FALLEN = 0.35  # share of its peak to which the residual of a velocity transient has fallen
 FROZEN_READINGS = 5
 MANY_JUMPS = 8.0
+SHARP_TURNS = 6.0  # of a reading without a slight one between them; a bias that comes and goes on an arm at rest makes four
+STRAIGHT = 1e-6  # rad, turn of a reading that goes straight on; a count of 20 bits is 6e-6
 TRANSIENT_MEMORY = 0.5  # s without an alarm after which a velocity transient is forgotten
 JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
 
@@ -65,12 +70,22 @@ class Freeze(NamedTuple):
     travel: Array  # rad, by which it should have moved since
 
 
+class Counts(NamedTuple):
+    """Turns of the reading, changes of its change in a tick, since the last one too slight for a count; all [n, ...]."""
+
+    reading: Array  # rad, the last
+    change: Array  # rad, by which it changed
+    turns: Array  # how many were sharp
+    smallest: Array  # rad, of those
+
+
 class State(NamedTuple):
     """What the detectors remember."""
 
     transient: Transient
     jumps: Jumps
     freeze: Freeze
+    counts: Counts
 
 
 class Inputs(NamedTuple):
@@ -88,12 +103,12 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     """Nothing found."""
     del config, gains
     zero = jnp.zeros_like(q)
-    return State(Transient(*[zero] * 5), Jumps(zero, zero), Freeze(q, zero, zero, zero, zero))
+    return State(Transient(*[zero] * 5), Jumps(zero, zero), Freeze(q, zero, zero, zero, zero), Counts(q, zero, zero, zero))
 
 
 def nothing_found(q: Array) -> SensorStatus:
     """Status of sensors [n, ...] that are in order."""
-    return SensorStatus(*[jnp.zeros_like(q)] * 4)
+    return SensorStatus(*[jnp.zeros_like(q)] * 5)
 
 
 def mask_suspect(sensors: SensorStatus, psi: Array) -> Array:
@@ -108,9 +123,11 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     transient = velocity_transient(config, state.transient, inputs)
     jumps, many, noisy = jump_rate(state.jumps, inputs.estimate)
     unchanging, frozen = freeze(config, gains, state.freeze, inputs)
-    suspect = frozen | many | (transient.found > 0)
-    status = SensorStatus(*(flag.astype(inputs.qd_hat.dtype) for flag in (suspect, transient.found > 0, frozen, noisy)))
-    return State(transient, jumps, unchanging), status
+    counts, resolution = coarse_counts(gains, state.counts, inputs.estimate)
+    suspect = frozen | many | (resolution > 0) | (transient.found > 0)
+    flags = (flag.astype(inputs.qd_hat.dtype) for flag in (suspect, transient.found > 0, frozen, noisy))
+    status = SensorStatus(*flags, resolution)
+    return State(transient, jumps, unchanging, counts), status
 
 
 def velocity_transient(config: Config, state: Transient, inputs: Inputs) -> Transient:
@@ -133,6 +150,16 @@ def jump_rate(state: Jumps, seen: Estimate) -> tuple[Jumps, Array, Array]:
     signed = JUMP_MEMORY * state.signed + seen.jump.h_s * seen.jump.side
     many = total >= MANY_JUMPS
     return Jumps(total, signed), many, many & (jnp.abs(signed) < 0.5 * total)
+
+
+def coarse_counts(gains: Gains, state: Counts, seen: Estimate) -> tuple[Counts, Array]:
+    """Size [n, ...] rad of the counts in which a reading comes; 0 where it is fine enough."""
+    change = seen.reading - state.reading
+    turn = jnp.abs(change - state.change)
+    sharp, straight = turn >= 0.5 * gains.observer.jump, turn <= STRAIGHT
+    turns = jnp.where(sharp, state.turns + 1, jnp.where(straight, state.turns, 0.0))
+    smallest = jnp.where(sharp & ((turn < state.smallest) | (state.turns == 0)), turn, state.smallest)
+    return Counts(seen.reading, change, turns, smallest), jnp.where(turns >= SHARP_TURNS, smallest, 0.0)
 
 
 def freeze(config: Config, gains: Gains, state: Freeze, inputs: Inputs) -> tuple[Freeze, Array]:

@@ -66,6 +66,7 @@ class Estimate(NamedTuple):
     psi: Array  # [n, ...] rad/s^2, actuator fault, Eq. (15)
     missing: Array  # [n, ...] bool, the reading was not used
     absent: Array  # [n, ...] bool, there was no finite reading
+    reading: Array  # [n, ...] rad, last finite reading
 
 
 class _Availability(NamedTuple):
@@ -113,7 +114,7 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     frozen = (reading.sensors.frozen > 0) & (reading.q == state.reading)
     b = jnp.where(frozen, state.b_fresh, state.fuzzy.b)
     at = _availability(config, state, reading, frozen, reading.q - b - y_hat)
-    y = jnp.where(at.missing, y_hat + b, reading.q)
+    y = jnp.where(at.missing, y_hat + b, _within_count(reading, y_hat + b))
     ended, healed = _returned(config, state, reading.sensors, y - y_hat, b)
     b = jnp.where(at.back & (ended | healed), 0.0, b)
     e = y - b - y_hat
@@ -133,6 +134,7 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
     psi = sum(share for _, share in made.values()) + state.fuzzy.psi  # Eq. (15); a stage that does not run has 0
     q_hat = y - b
     fault_q = jnp.where(at.frozen, reading.q - q_hat, b)
+    finite = jnp.where(at.absent, state.reading, reading.q)
     changed = ~at.missing & (reading.q != state.reading)
     next_state = State(
         arx=state.arx._replace(x_a=x_a),
@@ -141,11 +143,11 @@ def correct(config: Config, gains: Gains, state: State, reading: Reading, on: St
         e=e,
         q1=q_hat,
         q2=state.q1 + model_reset,
-        reading=jnp.where(at.absent, state.reading, reading.q),
+        reading=finite,
         b_fresh=jnp.where(changed, b, state.b_fresh),
         unread=_pause(state, at),
     )
-    return next_state, Estimate(y, y_hat, e, jump, model_reset, b, q_hat, fault_q, psi, at.missing, at.absent)
+    return next_state, Estimate(y, y_hat, e, jump, model_reset, b, q_hat, fault_q, psi, at.missing, at.absent, finite)
 
 
 @box("Blocks 1 to 4: the correction enters the model, Eqs. (6), (9)")
@@ -169,6 +171,12 @@ def adapt(
 def _step(config: Config) -> float:
     """More, rad, than a joint turns in a tick."""
     return reach.SPEED * config.dt
+
+
+def _within_count(reading: Reading, predicted: Array) -> Array:
+    """The reading, or where it is coarse the angle [n, ...] rad nearest to the predicted one for which it stands."""
+    half = 0.5 * reading.sensors.resolution
+    return jnp.where(half > 0, jnp.clip(predicted, reading.q - half, reading.q + half), reading.q)
 
 
 def _availability(config: Config, state: State, reading: Reading, frozen: Array, e: Array) -> _Availability:

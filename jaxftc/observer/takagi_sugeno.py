@@ -59,11 +59,11 @@ def classify_jump(gains: ObserverGains, unexplained: Array, change: Array, b: Ar
     ``unexplained`` [n, ...] rad is what no acceleration explains of the reading's second difference: it decides. ``change``
     rad is the change of the innovation, less noisy: it says how far. A reading with a velocity transient may only bring b
     back towards zero, otherwise the model follows it: attributing the end of a drift would leave its whole size in b for
-    ever. A noisy reading is left to the innovation: attributed, its jumps would make b a sum of noise, and followed, they
-    would leave the model's speed to itself.
+    ever. A noisy or coarse reading is left to the innovation: attributed, its jumps would make b a sum of noise or of the
+    motion, and followed, they would leave the model's speed to itself.
     """
     h_s = takagi_sugeno.jump_share(unexplained, gains.jump, gains.jump_centres, gains.jump_widths)
-    size, noisy = h_s * change, sensors.noisy > 0
+    size, noisy = h_s * change, (sensors.noisy > 0) | (sensors.resolution > 0)
     attributed = ((sensors.transient == 0) & ~noisy) | (jnp.abs(b + size) < jnp.abs(b))
     follow = ~attributed & ~noisy
     moved = jnp.where(attributed, gains.alpha_f2 * size, 0.0)

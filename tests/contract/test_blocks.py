@@ -70,7 +70,7 @@ def pair(observer: str, control: str, **change: Any) -> Block:
 
 
 ESTIMATE = cascade.Estimate(
-    1.0, 1.0, 1e-3, takagi_sugeno.Jump(1.0, 1.0, 0.01, 0.01), 0.01, 0.02, 1.0, 0.02, 5.0, False, False
+    1.0, 1.0, 1e-3, takagi_sugeno.Jump(1.0, 1.0, 0.01, 0.01), 0.01, 0.02, 1.0, 0.02, 5.0, False, False, 1.0
 )
 SMALL = [
     Block("pi", pi, stage.Inputs(1e-3, 1.0, None)),

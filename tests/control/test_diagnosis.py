@@ -22,7 +22,7 @@ from jaxftc.scenarios.scenario import paper_scenario, stack
 def blank(n):
     """An estimate in which nothing happens."""
     none, no = jnp.zeros(n), jnp.zeros(n, bool)
-    return Estimate(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no)
+    return Estimate(none, none, none, Jump(none, none, none, none), none, none, none, none, none, no, no, none)
 
 
 def judge(config, s_tau, s_q=None, y=None, h_s=None, speed=1.0, r_tau=None):
@@ -174,6 +174,41 @@ def test_jumps_to_and_fro_are_noise_and_jumps_one_way_a_drift(two):
     np.testing.assert_array_equal(said.sensors.suspect, [1, 1])
 
 
+def resolution(config, readings):
+    """Resolution [T, n] rad that the sensor check finds in readings [T, n] rad."""
+    gains, zero = jaxftc.default_gains(config), jnp.zeros(config.n)
+
+    def step(state, reading):
+        seen = blank(config.n)._replace(y=reading, reading=reading)
+        inputs = decision.Inputs(Statistics(zero, zero), gains.diagnosis.alpha_tau, zero, seen, jnp.ones(config.n), zero)
+        state, said = decision.step(config, gains, state, inputs)
+        return state, said.sensors.resolution
+
+    return np.asarray(jax.lax.scan(step, decision.init(config, gains, readings[0]), jnp.asarray(readings))[1])
+
+
+SWING = 0.3 * np.sin(np.arange(400) * 0.02)  # up to 6 rad/s
+
+
+def test_coarse_counts_are_found_with_their_size_and_forgotten_when_they_end(two):
+    count = np.deg2rad(0.2)
+    q = np.stack([SWING, np.where(np.arange(400) < 200, np.round(SWING / count) * count, SWING)], 1)
+    found = resolution(two, q)
+    np.testing.assert_array_equal(found[:, 0], 0)
+    np.testing.assert_allclose(found[50:200, 1], count, rtol=1e-9)
+    np.testing.assert_array_equal(found[210:, 1], 0)
+
+
+@pytest.mark.parametrize("bits", [14, 16, 20])
+def test_a_fine_encoder_a_jump_and_a_drift_have_no_coarse_counts(two, bits):
+    count, k = 2 * np.pi / 2**bits, np.arange(400)
+    jumps = SWING + 0.05 * (k > 100) - 0.05 * (k > 200) + 0.1 * (k > 300)
+    drift = SWING + 2e-3 * np.maximum(k - 100, 0)
+    at_rest = 0.3 + 0.05 * ((k > 100) & (k < 200))
+    for readings in (np.stack([jumps, drift], 1), np.stack([at_rest, SWING], 1)):
+        np.testing.assert_array_equal(resolution(two, np.round(readings / count) * count), 0)
+
+
 @given(st.lists(st.floats(-3, 3), min_size=30, max_size=60), st.floats(1.0, 3.0))
 def test_a_larger_statistic_never_alarms_later(two, values, factor):
     s = np.repeat(np.array(values)[:, None], 2, 1)
@@ -193,14 +228,15 @@ def encoder_fault(config, kind, magnitude):
     return scenario._replace(fault_q=law)
 
 
-ROBUST = 8  # robust_cases
+COARSE = [(0, 0.1), (2, 0.1), (4, 0.1), (4, 0.2), (4, 0.35), (1, 0.5), (2, 0.5), (0, 1.0)]  # (joint from 0, count in deg)
+ROBUST = 8 + len(COARSE)  # robust_cases
 
 
 def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     """Drift slow and fast, freeze, scale, noise on joint 3: called a sensor fault of joint 3 and of no other."""
     config = jaxftc.Config(paper_arm, engine="chain")
     cases = [(Sensor.DRIFT, 0.15), (Sensor.DRIFT, -0.8), (Sensor.FREEZE, 0.0), (Sensor.SCALE, 0.05), (Sensor.NOISE, 60.0)]
-    padded = (cases * 2)[:ROBUST]  # a batch of the same size as in the test below: one program
+    padded = (cases * 4)[:ROBUST]  # a batch of the same size as in the test below: one program
     batch = stack([encoder_fault(config, kind, size) for kind, size in padded])
     gains = jaxftc.default_gains(config)
     tight = gains.replace({"diagnosis.alpha_q": np.deg2rad(0.02)})
@@ -238,6 +274,9 @@ def robust_cases(config):
         ("drift that clears", faulty("fault_q", Sensor.DRIFT, np.deg2rad(20), [2]), 0.1, 0.1),
         ("freeze that clears", faulty("fault_q", Sensor.FREEZE, 0.0, [2]), 0.1, 0.1),
         ("freeze that stays", faulty("fault_q", Sensor.FREEZE, 0.0, [2], stop=jnp.inf), 1.0, 1.0),
+    ] + [
+        (f"counts of {count} deg", healthy.with_encoder_rounding(joint + 1, np.deg2rad(count), 0.2), 2 * count, 2 * count)
+        for joint, count in COARSE
     ]
 
 
