@@ -37,7 +37,8 @@ from jaxftc.types import Array, SensorStatus
 FALLEN = 0.35  # share of its peak to which the residual of a velocity transient has fallen
 FROZEN_READINGS = 5
 MANY_JUMPS = 8.0
-SHARP_TURNS = 6.0  # of a reading without a slight one between them; a bias that comes and goes on an arm at rest makes four
+SHARP_TURNS = 6.0  # without a slighter or larger one between them; a bias that comes and goes on an arm at rest makes four
+COARSEST = 0.05  # rad, largest count: one of 7 bits
 STRAIGHT = 1e-6  # rad, turn of a reading that goes straight on; a count of 20 bits is 6e-6
 TRANSIENT_MEMORY = 0.5  # s without an alarm after which a velocity transient is forgotten
 JUMP_MEMORY = 0.99  # forgetting of the jump count per tick, about 100 ticks
@@ -71,7 +72,7 @@ class Freeze(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Turns of the reading, changes of its change in a tick, since the last one too slight for a count; all [n, ...]."""
+    """Turns of a reading, changes of its change in a tick, since one too slight or too large for a count; all [n, ...]."""
 
     reading: Array  # rad, the last
     change: Array  # rad, by which it changed
@@ -156,7 +157,7 @@ def coarse_counts(gains: Gains, state: Counts, seen: Estimate) -> tuple[Counts, 
     """Size [n, ...] rad of the counts in which a reading comes; 0 where it is fine enough."""
     change = seen.reading - state.reading
     turn = jnp.abs(change - state.change)
-    sharp, straight = turn >= 0.5 * gains.observer.jump, turn <= STRAIGHT
+    sharp, straight = (turn >= 0.5 * gains.observer.jump) & (turn <= COARSEST), turn <= STRAIGHT
     turns = jnp.where(sharp, state.turns + 1, jnp.where(straight, state.turns, 0.0))
     smallest = jnp.where(sharp & ((turn < state.smallest) | (state.turns == 0)), turn, state.smallest)
     return Counts(seen.reading, change, turns, smallest), jnp.where(turns >= SHARP_TURNS, smallest, 0.0)
