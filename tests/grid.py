@@ -101,12 +101,13 @@ def fit(row: Row) -> Result:
     )
 
 
-def everything(row: Row) -> dict[str, np.ndarray]:
-    """Results of every entry point by name; a simulation only of the cascade, spread over the devices that there are."""
-    fitted = fit(row)
-    tree: dict[str, Any] = {"rows": campaign(row), "calibrated": calibrate(row).gains}
-    tree["fitted"] = {"gains": fitted.gains, "history": fitted.history}
-    if row.scheme == "cascade":
+def everything(row: Row, whole: bool) -> dict[str, np.ndarray]:
+    """Results by name: a campaign's, or those of every entry point; a simulation, only of the cascade, over all devices."""
+    tree: dict[str, Any] = {"rows": campaign(row)}
+    if whole:
+        fitted = fit(row)
+        tree |= {"calibrated": calibrate(row).gains, "fitted": {"gains": fitted.gains, "history": fitted.history}}
+    if whole and row.scheme == "cascade":
         mesh = Mesh(np.asarray(jax.local_devices()), (AXIS,))
         some = jax.device_put(scenarios(row), NamedSharding(mesh, PartitionSpec(AXIS)))
         tree["trace"] = simulate(row, some)
@@ -115,7 +116,7 @@ def everything(row: Row) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """``python -c ... PATH ROW``, in a process of its own with two devices: all results of the row as an .npz file."""
-    path, *fields = sys.argv[1:]
+    """``python -c ... PATH WHOLE ROW``, in a process of its own with two devices: all results of the row as an .npz file."""
+    path, whole, *fields = sys.argv[1:]
     assert len(jax.local_devices()) == 2
-    np.savez(path, **everything(Row(*map(int, fields[:3]), *fields[3:])))
+    np.savez(path, **everything(Row(*map(int, fields[:3]), *fields[3:]), whole == "True"))

@@ -154,6 +154,7 @@ def test_the_residual_is_the_fault_low_passed():
     np.testing.assert_allclose(trace.out.residual_tau[10:, 0], 5.0 * (1 - np.exp(-RATE * since)), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
     """Up to what M changes in a tick."""
     trace = run(of(config, "momentum"), "actuator")
@@ -164,6 +165,7 @@ def test_the_residual_is_the_fault_low_passed_on_the_whole_arm(config):
     assert np.abs(first - expected).max() <= 1
 
 
+@pytest.mark.slow
 def test_the_momentum_observer_takes_an_encoder_fault_for_a_torque(config):
     """A documented inability: one channel for two kinds of fault."""
     trace = run(of(config, "momentum"), "sensor")

@@ -21,7 +21,8 @@ PAGES = {"README.md": (ROOT / "README.md").read_text()}
 PAGES |= {
     path.relative_to(DOCS).as_posix(): path.read_text() for path in sorted(DOCS.rglob("*.md")) if "_build" not in path.parts
 }
-SLOW_PAGES = {"campaigns.md", "performance.md", "tuning.md"}  # they compile campaigns, or a gradient for all gains
+# They compile campaigns, loops, or a gradient for all gains.
+SLOW_PAGES = {"campaigns.md", "performance.md", "tuning.md", "robot.md", "own-scheme.md"}
 REDUCED = {  # options added to the printed commands before they run here: their own sizes take minutes to hours
     "demo": "--engine chain",
     "simulate": "",

@@ -12,7 +12,7 @@ import pytest
 import jaxftc
 from jaxftc.cli.common import numbers
 from jaxftc.scenarios.scenario import take, trail
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search, terms
 from tuning.settings import GRADIENT_COST, round_length
 
@@ -23,7 +23,7 @@ SMALL = Settings(steps=10, batch=8, validation=4, learning_rate=0.2)
 @pytest.fixture(scope="module")
 def arm():
     """A short run of the simplest structure, which compiles quickly."""
-    return jaxftc.Config(three_hinges(), engine="chain", observer="pi", control="smc", duration=0.1)
+    return jaxftc.Config(two_hinges(), engine="chain", observer="pi", control="smc", duration=0.1)
 
 
 @pytest.fixture(scope="module")

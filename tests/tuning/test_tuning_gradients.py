@@ -10,7 +10,7 @@ import pytest
 
 import jaxftc
 from jaxftc.scenarios.scenario import stack, trail
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 from tests.contract.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform
 
@@ -30,7 +30,7 @@ class Setup(NamedTuple):
 @pytest.fixture(scope="module")
 def setup():
     """Two scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
-    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.12)
+    config = jaxftc.Config(two_hinges(), engine="chain", duration=0.12)
     start = base_gains(config)
     # Close to the edge of stability, where that term has a slope; alpha_f1 and alpha_f3 are alike by default, a kink of
     # their maximum there.
@@ -63,7 +63,7 @@ def test_reverse_and_forward_agree(setup):
     np.testing.assert_allclose(setup.slope("forward"), setup.reverse, rtol=1e-6, atol=1e-9 * np.abs(setup.reverse).max())
 
 
-NAMES = transform.tunable(jaxftc.Config(three_hinges(), engine="chain"))
+NAMES = transform.tunable(jaxftc.Config(two_hinges(), engine="chain"))
 
 
 @pytest.mark.parametrize("name", NAMES)

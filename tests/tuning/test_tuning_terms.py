@@ -12,7 +12,7 @@ from jaxftc.evaluation import metrics
 from jaxftc.observer import stability
 from jaxftc.scenarios.scenario import take, trail
 from jaxftc.simulation.closed_loop import lead, rollout
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 from tests.twins import terms as twin
 from tuning import OBJECTIVE, Problem, Run, Term, transform
 from tuning.problem import LOST
@@ -23,7 +23,7 @@ N = 24
 @pytest.fixture(scope="module")
 def arm():
     """Coulomb friction, and runs long enough for what is scored after an onset."""
-    return jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.4)
 
 
 @pytest.fixture(scope="module")
