@@ -10,7 +10,7 @@ from jaxftc.campaigns import run
 from jaxftc.evaluation import comparison, oracle, summary, verdicts
 from jaxftc.evaluation.table import columns
 from jaxftc.simulation.closed_loop import blank_trace
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
 DT, N, TICKS = 1e-3, 3, 100
 
@@ -52,7 +52,7 @@ def test_a_reading_that_is_absent_is_visible():
 
 @pytest.fixture(scope="module")
 def rows():
-    config = jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
+    config = jaxftc.Config(two_hinges(), engine="chain", duration=0.4)
     gains = jaxftc.default_gains(config)
     scenarios = jaxftc.sample_scenarios(jax.random.key(5), 200, "hard", config=config)
     scores = run.scores(config, gains, scenarios, jax.random.key(6))

@@ -12,9 +12,9 @@ import jaxftc
 from jaxftc.scenarios.faults import Actuator, Sensor
 from jaxftc.scenarios.reference import cubic
 from jaxftc.variants import SCHEMES
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
-N, KEY = three_hinges().n, 11
+N, KEY = two_hinges().n, 11
 ONSET = 30  # tick
 
 # A size for every kind of fault, in its own unit.
@@ -47,7 +47,7 @@ FAULTS = [("fault_tau", kind, size) for kind, size in TORQUES.items()] + [("faul
 @pytest.fixture(scope="module")
 def config() -> jaxftc.Config:
     """In place of the PUMA that other tests share."""
-    return jaxftc.Config(three_hinges(), engine="chain", duration=0.06)
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.06)
 
 
 @pytest.fixture(scope="module")

@@ -20,14 +20,14 @@ from jaxftc.compile import xla as compiling
 from jaxftc.numerics.barrier import stack, store, unstack
 from jaxftc.scenarios.scenario import trail
 from jaxftc.simulation.closed_loop import rollout, run_loop
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
 KERNELS = 450  # a tick of three hinges without loops of several results; 250 to 330 on the versions seen
 
 
 @pytest.fixture(scope="module")
 def short() -> jaxftc.Config:
-    return jaxftc.Config(three_hinges(), engine="chain", duration=0.02, t_final=0.02)
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.02, t_final=0.02)
 
 
 def scenarios(config, count):
