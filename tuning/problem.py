@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxftc import stages
 from jaxftc.compile.devices import everywhere, over_scenarios
-from jaxftc.compile.xla import Kind, jit
+from jaxftc.compile.jit import jit
+from jaxftc.compile.xla import Kind
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains

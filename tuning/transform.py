@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks, stages
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.gains import INCREASING, Gains, Spec, blocks, names, shape_of, specs

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.gains import ArxGains, Gains
 from jaxftc.gains import check as check_gains

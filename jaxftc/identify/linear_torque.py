@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.link import Link
 from jaxftc.robot.model import Robot

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.identify.linear_model import data, flatten, span
