@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
@@ -170,7 +170,7 @@ class Tune(common.Options):
         """The folder for results, and for what a stopped run has left."""
         from tuning import checkpoint
 
-        with common.folder(self, "tune", goes_on=True) as folder:
+        with results.folder(self, "tune", goes_on=True) as folder:
             if self.force:
                 (folder / checkpoint.NAME).unlink(missing_ok=True)
             if self.out is None:
@@ -191,7 +191,7 @@ class Tune(common.Options):
         ran = record.of(self, config, more=same_seed)
         told = as_json(result, comparisons, folder) | {"held_out_seed": seed, "provenance": ran}
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons, ran))
-        return common.write_json(folder / "result.json", told)
+        return results.write_json(folder / "result.json", told)
 
     def _tell(
         self, folder: Path, config: Config, start: Gains, result: Result, comparisons: list[Comparison], seed: int

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.cli.campaign import Laws
 
 if TYPE_CHECKING:
@@ -78,13 +78,13 @@ class Calibrate(Laws):
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         enough(self.runs, self.false_alarms, self.confidence)
-        with common.folder(self, "calibrate") as folder:
+        with results.folder(self, "calibrate") as folder:
             with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
                 wanted = {"runs": self.runs, "confidence": self.confidence, "follow": self.follow}
                 found = set_thresholds(job, self.false_alarms, bar.update, **wanted)
             save_gains(folder / "gains.toml", found.gains, job.config)
             result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
-            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
+            text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
         common.say(self, table(job.config, job.gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:
@@ -118,11 +118,11 @@ class Calibrate(Laws):
             shares = log_follow.fit(config, found.gains, logs)
             followed = {"follow_loss": shares.loss.tolist()}
             found = calibrate_on_logs(config, with_shares(gains, shares.values), logs, **wanted)
-        with common.folder(self, "calibrate") as folder:
+        with results.folder(self, "calibrate") as folder:
             save_gains(folder / "gains.toml", found.gains, config)
             result = found.promise._asdict() | by_joint(config, found.gains) | {"gains": str(folder / "gains.toml")}
             result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]} | followed
-            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
+            text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
         common.say(self, log_table(config, gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
@@ -28,10 +28,10 @@ class Demo(common.Options):
         config = Config(robot, dt=common.sample_time(self), engine=self.engine)
         gains = common.load_or_default(self, config)
         key = common.key(self)
-        with common.folder(self, "demo") as folder:
+        with results.folder(self, "demo") as folder:
             experiment = paper.run(config, gains, key)
             ran = record.of(self, config)
-            text = common.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
+            text = results.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
             write_text(folder / "report.html", demo_page(config, gains, experiment, ran))
         common.say(self, table(experiment.rows))
         common.say(self, claims(experiment))
