@@ -29,7 +29,8 @@ from jaxftc import checks, stages
 from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
-from jaxftc.gains import INCREASING, Gains, Spec, blocks, names, shape_of, specs
+from jaxftc.gain_spec import INCREASING
+from jaxftc.gains import Gains, Spec, blocks, names, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import arx
 from jaxftc.observer.readout import exact
