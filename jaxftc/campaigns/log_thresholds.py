@@ -125,25 +125,8 @@ def calibrate_on_logs(
             f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed"
         )
     level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
-    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
-    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
-    which = _best(largest, _rates(config))
-    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
-    series = np.take_along_axis(found.tau, np.broadcast_to(which[None, :, None], (blocks, config.n, 1)), 2)[..., 0]
-    alpha_tau = scale * level.factor(series)
-    widest = np.maximum(found.w.max(0), LEAST_JUMP)
-    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
-    changes = {
-        "diagnosis.alpha_tau": alpha_tau,
-        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
-        "diagnosis.lam_tau": 1.0,
-        "observer.jump": 2 * half_jump,
-        "diagnosis.rate": _rates(config)[which],
-        "diagnosis.stiction": stiction,
-    }
-    gains = gains.replace(changes)
+    gains = gains.replace(_thresholds(config, found, level) | {"diagnosis.stiction": stiction})
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
-    hours = healthy / 3600
     promise = Promise(
         healthy_s=healthy,
         run_s=run,
@@ -153,9 +136,28 @@ def calibrate_on_logs(
         wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
         fitted_per_hour=level.rate * 3600 / BLOCK if level.method == "tail" else None,
         seen=seen,
-        at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / hours),
+        at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / (healthy / 3600)),
     )
     return LogCalibration(gains, promise, noise)
+
+
+def _thresholds(config: Config, found: _Peaks, level: _Level) -> dict[str, np.ndarray | float]:
+    """Thresholds, the jump and the rate by gain: the largest statistics seen, times the level's factor."""
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
+    which = _best(largest, _rates(config))
+    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
+    at_rate = np.broadcast_to(which[None, :, None], (len(found.tau), config.n, 1))
+    alpha_tau = scale * level.factor(np.take_along_axis(found.tau, at_rate, 2)[..., 0])
+    widest = np.maximum(found.w.max(0), LEAST_JUMP)
+    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
+    return {
+        "diagnosis.alpha_tau": alpha_tau,
+        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
+        "diagnosis.lam_tau": 1.0,
+        "observer.jump": 2 * half_jump,
+        "diagnosis.rate": _rates(config)[which],
+    }
 
 
 class _Level:

@@ -137,7 +137,7 @@ class _Channel:
 
     def __init__(self, config: Config, fault: Fault, kinds: type[Kind]) -> None:
         onset = np.asarray(fault.onset)
-        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in score.truth
+        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in online.truth
         kind = np.where(begins, np.asarray(fault.kind), 0).T
         self.faulty = kind > 0  # [n, scenarios]
         at = self.faulty.argmax(0)[None]
