@@ -1,4 +1,4 @@
-"""``jaxftc tune``: gains over vmapped fault scenarios, and what they are worth on scenarios never seen."""
+"""``jaxftc tune``: gains by descent over simulated faults, compared on held-out scenarios."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import dataclasses
 import secrets
 import shlex
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,12 +18,11 @@ from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
-
     from jaxftc.config import Config
     from jaxftc.gains import Gains
     from tuning.held_out import Comparison
-    from tuning.loop import Progress, Result
+    from tuning.loop import Result
+    from tuning.terms import Term
 
 HELD_OUT = 0x48454C44  # keeps held-out scenarios apart from those of a training seed with the same number
 
@@ -100,29 +98,18 @@ class Tune(common.Options):
         """What every process does, and what the first, or only, one does with it."""
         import jax
 
-        from jaxftc import Config, checks, load_preset, sample_scenarios
+        from jaxftc import checks, load_preset, sample_scenarios
         from jaxftc.compile import processes
-        from jaxftc.variants import changes
-        from tuning import terms, transform
+        from tuning import transform
+        from tuning.bar import Bar
         from tuning.held_out import compare
         from tuning.loop import fit
 
         self.settings.check()
-        objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
-        limits = common.numbers("--limit", self.limit, "delay=0.02")
-        terms.check_terms("limit", objective, limits)
+        objective, limits = self._objective()
         checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
-        common.look_here_for(self.scheme)
-        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
-        config = Config(
-            common.load_arm(self),
-            dt=common.sample_time(self),
-            engine=self.engine,
-            rules=self.rules,
-            duration=self.duration,
-            **structure,
-        )
+        config = self._config()
         preset = load_preset(self.preset)
         free = transform.select(config, self.only, self.freeze)
         start = common.load_or_default(self, config)
@@ -157,6 +144,31 @@ class Tune(common.Options):
         self._tell(folder, config, start, result, comparisons, seed)
         if self.json:
             print(text)
+
+    def _objective(self) -> tuple[dict[str, Term], dict[str, float]]:
+        """Terms with their weights, and limits on them."""
+        from tuning import terms
+
+        objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
+        limits = common.numbers("--limit", self.limit, "delay=0.02")
+        terms.check_terms("limit", objective, limits)
+        return objective, limits
+
+    def _config(self) -> Config:
+        """What runs."""
+        from jaxftc import Config
+        from jaxftc.variants import changes
+
+        common.look_here_for(self.scheme)
+        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
+        return Config(
+            common.load_arm(self),
+            dt=common.sample_time(self),
+            engine=self.engine,
+            rules=self.rules,
+            duration=self.duration,
+            **structure,
+        )
 
     def _held_out_seed(self) -> int:
         """The seed of the held-out scenarios, the same in all processes."""
@@ -209,41 +221,6 @@ class Tune(common.Options):
         if self.rules == "printed" and staged(config):  # what the command has options for
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
             common.say(self, f"See them at work: {' '.join(filter(None, words))}")
-
-
-class Bar:
-    """Progress on stderr: loss, gradient norm, time left, scenario steps a second (a gradient counts as several runs)."""
-
-    def __init__(self, config: Config, *, shown: bool = True) -> None:
-        from tqdm import tqdm
-
-        self.ticks = config.ticks
-        self.last: Progress | None = None
-        self.bar: tqdm[Any] = tqdm(
-            desc="compiling, a minute or so the first time", unit="step", leave=False, disable=not shown
-        )
-
-    def __enter__(self) -> Bar:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.bar.close()
-
-    def show(self, progress: Progress, best: Gains) -> None:
-        """After a round."""
-        done, since = (self.last.simulations, self.last.seconds) if self.last else (0, 0.0)
-        rate = (progress.simulations - done) * self.ticks / (progress.seconds - since)
-        self.bar.set_description("tuning", refresh=False)
-        self.bar.total = progress.steps
-        norm = "" if progress.gradient_norm != progress.gradient_norm else f", |gradient| {progress.gradient_norm:.2g}"
-        text = f"loss {progress.loss:.3f}{norm}, validation {progress.validation:.3f}, {rate:.1e} scenario-steps/s"
-        self.bar.set_postfix_str(text, refresh=False)
-        if self.last is None:  # time left is judged by the rounds that follow: this one compiled, or was a resumed run's
-            self.bar.initial, self.bar.n, self.bar.start_t = progress.step, progress.step, time.time()
-            self.bar.refresh()
-        else:
-            self.bar.update(progress.step - self.bar.n)
-        self.last = progress
 
 
 def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict[str, Any]:

@@ -70,7 +70,7 @@ class Score(NamedTuple):
     visible: Array  # [n, ...] int32, what an oracle has seen when ``verdict`` is scored; without an alarm, ever
     visible_late: Array  # [n, ...] int32, the same for ``settled``
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
-    healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm, less the threshold's rise
+    healthy_tau: Array  # [n, ...] N m, largest statistic that lasted for an alarm before onset, over its threshold's rise
     healthy_q: Array  # [n, ...] rad
     healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the sensor check alarmed first
     lost: Array  # bool, the arm diverged
