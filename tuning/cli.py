@@ -55,7 +55,8 @@ class Tune(common.Options):
     duration: float | None = None
     """Length of a simulated run, s; the motion's, 1 s, if not given."""
     only: tuple[str, ...] = ()
-    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles if not given. arx.xi_a is both poles."""
+    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles and what torque thresholds
+    follow if not given. arx.xi_a is both poles."""
     freeze: tuple[str, ...] = ()
     """Gains or blocks to leave as they are."""
     shared: tuple[str, ...] = ()

@@ -107,7 +107,8 @@ def fit(
         limits: Largest means of terms on the validation scenarios. Gains beyond one are never
             chosen; where none are found that keep all, the start is the answer
             (``Result.within_limits``).
-        only: What is tuned; all that the config uses but the poles, if empty.
+        only: What is tuned; if empty all that the config uses but the poles and what torque
+            thresholds follow.
         freeze: What of it is not.
         shared: What moves on all joints alike.
         settings: How to search.

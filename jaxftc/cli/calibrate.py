@@ -189,22 +189,18 @@ def table(config: Config, before: Gains, found: Calibration) -> str:
 def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     """Thresholds before and after, a line a joint."""
     from jaxftc.campaigns.calibrate import by_joint
+    from jaxftc.evaluation.comparison import RISES
 
     was, now = by_joint(config, before), by_joint(config, after)
     lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:
         torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
         lines.append(f"{name:10}{torque:>28}{angle:>30}")
-    rises = {"speed, s/rad": "speed", "acceleration, s^2/rad": "acceleration", "turning round": "reversal",
-             "torque, 1/(N m)": "torque", "payload, 1/(N m)": "payload"}  # fmt: skip
-    if f"follow_{rises['speed, s/rad']}" not in now:
+    if not RISES.keys() <= now.keys():
         return lines
     lines += [
         "\nshare by which the torque threshold of a joint at rest rises with",
-        " " * 10 + "".join(map("{:>24}".format, rises)),
+        " " * 10 + "".join(map("{:>28}".format, RISES.values())),
     ]
-    lines += [
-        f"{name:10}" + "".join(f"{now[f'follow_{word}'][name]:24.4g}" for word in rises.values())
-        for name in config.robot.joint_names
-    ]
+    lines += [f"{name:10}" + "".join(f"{now[rise][name]:28.4g}" for rise in RISES) for name in config.robot.joint_names]
     return lines

@@ -175,9 +175,9 @@ class Campaign(Laws):
             raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; name them all, or another --out")
         for name, own in folders.items():
             if (own / store.MANIFEST).exists():
-                store.agree(own, requests[name])
+                store.check_same_request(own, requests[name])
             else:
-                store.empty(own)
+                store.refuse_orphan_chunks(own)
 
     def _one(
         self, folder: Path, job: Job, request: dict[str, Any], share: float | None, workers: Cluster | None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
+from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
     from jaxftc.paper.results import Experiment, Row
@@ -46,15 +47,9 @@ def table(rows: list[Row]) -> str:
     from jaxftc.paper.page import comparison
 
     head, units, cells = comparison(rows)
-    lines = [head, units, *cells]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    text = [
-        "  ".join(cell.ljust(w) if k < 3 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
-        for line in lines
-    ]
-    note = f"told apart: every joint's verdict is right {1e3 * SETTLE:.0f} ms after the first alarm; "
+    note = f"isolated: every joint's verdict is right {1e3 * SETTLE:.0f} ms after the first alarm; "
     note += "chattering: torque travel over its limit"
-    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], note])
+    return "\n".join([*aligned(head, units, cells, text=3), note])
 
 
 def claims(experiment: Experiment) -> str:

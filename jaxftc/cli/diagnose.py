@@ -130,9 +130,9 @@ class Samples:
     def __enter__(self) -> Samples:
         import duckdb
 
-        self._aside = self.path.with_name(self.path.name + ".rows")
-        self._aside.unlink(missing_ok=True)
-        self._rows = duckdb.connect(str(self._aside), config={"memory_limit": MEMORY})  # else most of the machine's
+        self._table = self.path.with_name(self.path.name + ".rows")
+        self._table.unlink(missing_ok=True)
+        self._rows = duckdb.connect(str(self._table), config={"memory_limit": MEMORY})  # else most of the machine's
         columns = ["t double"] + [
             f'"{s}_{j}" {"tinyint" if s == "verdict" else "float"}' for s in SIGNALS for j in self.joints
         ]
@@ -152,13 +152,13 @@ class Samples:
         self._rows.unregister("stretch")
 
     def __exit__(self, kind: Any, *_: object) -> None:
-        from jaxftc.io.files import aside
+        from jaxftc.io.files import atomic_path
 
         if kind is None:
-            with aside(self.path) as temporary:
+            with atomic_path(self.path) as temporary:
                 self._rows.execute("copy samples to $path (format parquet)", {"path": str(temporary)})
         self._rows.close()
-        self._aside.unlink(missing_ok=True)
+        self._table.unlink(missing_ok=True)
 
 
 def log_config(robot: Any, dt: float) -> Config:

@@ -21,7 +21,7 @@ from jaxftc.robot.model import Robot
 
 CORRELATED = 20.0  # rows that say the same: residuals of real arms are friction, not noise, and last some tenths of a second
 IMPOSSIBLE, EDGE = 1e-9, 1e-6  # margins of a link: no body has it, and too near to that to start from
-SHOWN, SURE = 0.01, 0.5  # share of the file's doubt that the logs remove: below the first, a parameter stays as it is
+SHOWN, SURE = 0.01, 0.5  # share of the prior variance that the logs remove: below the first, a parameter stays as it is
 
 
 class Prior(NamedTuple):
@@ -29,7 +29,7 @@ class Prior(NamedTuple):
 
     robot: Robot
     file: np.ndarray  # [p] x_file
-    doubt: np.ndarray  # [p] s; of a link's, to be multiplied by lambda
+    deviation: np.ndarray  # [p] s; of a link's, to be multiplied by lambda
 
 
 class _Start(NamedTuple):
@@ -42,7 +42,7 @@ class _Start(NamedTuple):
 
 
 def from_file(robot: Robot, rows: Rows) -> Prior:
-    """The file's values, and doubt that fits the size of the torques and motions."""
+    """The file's values, and deviations that fit the size of the torques and motions."""
     total = sum(link.mass for link in robot.links)
     parts = []
     for link, length in zip(robot.links, lengths(robot), strict=True):
@@ -73,16 +73,16 @@ def lengths(robot: Robot) -> np.ndarray:
 
 
 def fit(prior: Prior, sums: Sums, trust: float, *, bodies: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters [p], and the share of the doubt about each that the rows remove.
+    """Parameters [p], and the share of each's prior variance that the rows remove.
 
     Args:
-        prior: The file's values and the doubt about them.
+        prior: The file's values and how wrong they may be.
         sums: Over all folds that are fitted (``Sums.without``).
         trust: lambda; 0 keeps the file's links.
         bodies: Whether links are held to what a body can have.
     """
-    n, file, doubt = prior.robot.n, prior.file, prior.doubt
-    scaled = doubt.copy()
+    n, file, deviation = prior.robot.n, prior.file, prior.deviation
+    scaled = deviation.copy()
     scaled[: 10 * n] *= max(trust, 1e-6)
     model = np.einsum("p,jpq,q->j", file, sums.h, file)
     least = 1e-3 * np.sqrt(np.maximum(sums.c, model) / sums.rows) + 1e-9
@@ -95,7 +95,7 @@ def fit(prior: Prior, sums: Sums, trust: float, *, bodies: bool = True) -> tuple
         x = file + scaled * np.linalg.solve(h * np.outer(scaled, scaled) + np.eye(len(file)), scaled * (b - h @ file))
         left = sums.c - 2 * sums.b @ x + np.einsum("p,jpq,q->j", x, sums.h, x)
         sigma = np.maximum(np.sqrt(np.maximum(left, 0) / sums.rows), least)
-    values, vectors = np.linalg.eigh(h * np.outer(doubt, doubt))
+    values, vectors = np.linalg.eigh(h * np.outer(deviation, deviation))
     shown = (vectors**2) @ (np.maximum(values, 0) / (1 + np.maximum(values, 0)))
     if not bodies:
         return x, shown
@@ -112,7 +112,7 @@ def fit_folds(prior: Prior, sums: Sums, trust: float, *, bodies: bool = True) ->
 
 
 def _start(prior: Prior, shown: np.ndarray) -> _Start:
-    robot, file, doubt = prior.robot, prior.file, prior.doubt
+    robot, file, deviation = prior.robot, prior.file, prior.deviation
     n, p = robot.n, len(file)
     x, links, free = file.copy(), [], shown >= SHOWN
     for i, length in enumerate(lengths(robot)):
@@ -131,7 +131,7 @@ def _start(prior: Prior, shown: np.ndarray) -> _Start:
         rows[4 * j + 3, [mean, apart]] = 1, -1
     for k in range(3):
         place = slice(10 * n + k * n, 10 * n + (k + 1) * n)
-        x[place] = np.maximum(x[place], 0.01 * doubt[place])
+        x[place] = np.maximum(x[place], 0.01 * deviation[place])
     apart = slice(13 * n, 14 * n)
     x[apart] = np.clip(x[apart], -0.9 * x[12 * n : 13 * n], 0.9 * x[12 * n : 13 * n])
     free[10 * n :] = True

@@ -16,6 +16,7 @@ from jaxftc.config import Config
 from jaxftc.evaluation import comparison as versus
 from jaxftc.evaluation import metrics, verdicts
 from jaxftc.evaluation.summary import FAULTY, Table, by_kind
+from jaxftc.evaluation.verdicts import show
 from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.simulation.closed_loop import Trace
@@ -168,25 +169,21 @@ def _verdicts(found: dict[str, dict[str, Any]]) -> str:
 
 def _kinds(result: dict[str, Any]) -> str:
     head = ("fault", "n", "detected", "kind right", "joint right", "kind settled", "joint settled", "delay", "its 95 %",
-            "all told", "isolated", "torque est.", "angle est.", "tracking")  # fmt: skip
+            "all named", "isolated", "torque est.", "angle est.", "tracking")  # fmt: skip
     units = ("", "", "% (oracle)", *("% of det. (oracle)",) * 4, "median ms", "ms", "median ms", "median ms", "rms N m",
              "rms deg", "rms deg")  # fmt: skip
     lines = []
     for name, part in result["by_kind"].items():
-        bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
-        shares = (f"{_show(part[k], 100, 1)} ({_show(part[f'{k}_ceiling'], 100, 1)})" for k in SHARES)
-        errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
+        bounds = " to ".join(show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
+        shares = (f"{show(part[k], 100, 1)} ({show(part[f'{k}_ceiling'], 100, 1)})" for k in SHARES)
+        errors = (show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
         times = ("delay", "complete", "isolated")
-        delay, told, isolated = (_show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in times)
-        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, told, isolated, *errors))
+        delay, named, isolated = (show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in times)
+        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, named, isolated, *errors))
     return table(head, lines, units=units)
 
 
 SHARES = ("detection", "isolation_kind", "isolation_joint", "isolation_kind_settled", "isolation_joint_settled")
-
-
-def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
-    return absent if x is None else f"{factor * x:.{places}f}"
 
 
 def _shown(row: dict[str, Any]) -> int:

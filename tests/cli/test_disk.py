@@ -117,7 +117,7 @@ def test_one_flipped_bit_is_seen(campaign, name):
         flipped(path, chance)
         faults = [store.fault_of(chunk) for chunk in store.chunks(folder, 20, 10)]
         try:
-            store.unaltered(folder)
+            store.check_inputs_unchanged(folder)
             found = store.read_rows(folder, 20)
         except ValueError as error:
             assert str(folder) in str(error) and "\n" not in str(error)

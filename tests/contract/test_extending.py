@@ -167,3 +167,32 @@ config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 print(float(np.sum(jaxftc.sample_scenarios(jax.random.key(0), 20, config=config).fault_tau.magnitude)))
 """
     assert run(before) == [drawn]
+
+
+def test_a_log_format_is_a_module_and_a_line(house):
+    """NumPy's archives: a log comes back as it was written."""
+    copy, run = house
+    insert(copy / "logs" / "formats.py", '    ".parquet": "parquet",', '    ".npz": "archive",')
+    (copy / "logs" / "archive.py").write_text(
+        """
+import numpy as np
+from jaxftc.logs.formats import Table
+
+
+def read(path):
+    with np.load(path) as file:
+        return Table(dict(file))
+"""
+    )
+    script = """
+import numpy as np, jaxftc
+from benchmarks.arms import serial
+from jaxftc.robot.model_file import compile_robot
+robot = compile_robot("two", serial(2))
+t = 0.01 * np.arange(400)
+q = np.stack([0.5 * np.sin(t), 0.3 * np.cos(2 * t)], 1)
+np.savez("motion.npz", t=t, q1=q[:, 0], q2=q[:, 1], tau1=np.sin(3 * t), tau2=np.cos(t))
+log = jaxftc.logs.read("motion.npz", robot, check=False)
+print(log.dt, bool(np.allclose(log.q, q)), bool(np.allclose(log.tau[:, 1], np.cos(t), atol=1e-6)))
+"""
+    assert run(script) == ["0.01", "True", "True"]
