@@ -23,7 +23,7 @@ from scipy import stats
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.evaluation.intervals import tolerated
+from jaxftc.evaluation.intervals import check_shares, tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
@@ -111,9 +111,7 @@ def calibrate_on_logs(
     Raises:
         ValueError: a share outside (0, 1), logs that are too short, or statistics that are not finite.
     """
-    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
-        if not 0 < value < 1:
-            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
+    check_shares(false_alarms, confidence)
     healthy = sum(len(log.q) for log in logs) * config.dt
     run = healthy / len(logs) if run is None else run
     checks.positive("run", run, "seconds")
