@@ -237,7 +237,7 @@ class _Run:
         return all(means[self.problem.names.index(name)] <= limit for name, limit in self.limits.items())
 
     def _recovered(self, step: int, loss: float, scores: np.ndarray) -> None:
-        """Tell what has run away; after too many times, stop and say which term it was."""
+        """Note which term of scores [terms, scenarios] ran away; after too many times, stop."""
         worst = int(np.argmax(self.problem.weights * (scores.mean(1) - self.before.mean(1))))
         what = f"{self.problem.names[worst]} rose from {self.before[worst].mean():.3g} to {scores[worst].mean():.3g}"
         self.recoveries += 1

@@ -218,5 +218,5 @@ def _rows(values: list[Array], axes: tuple[int, ...]) -> Array:
 
 
 def _sound(terms: Array) -> Array:
-    """``LOST`` in every term of a run that has one that is not finite."""
+    """Terms [terms, B] with ``LOST`` in all of a run that has one that is not finite."""
     return jnp.where(jnp.isfinite(terms).all(0), terms, LOST)

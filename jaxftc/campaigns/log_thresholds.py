@@ -180,11 +180,12 @@ class _Level:
         return self._fitted(largest)
 
     def _counted(self, largest: np.ndarray) -> float:
+        """The level that no more than the allowed number of runs exceeds, of ``largest`` [blocks]."""
         runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
         return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
 
     def _fitted(self, largest: np.ndarray) -> float:
-        """The level that the fitted tail gives for the wanted share, within its bounds; its rate there goes to ``rate``."""
+        """The level that a tail fitted to ``largest`` [blocks] gives for the wanted share; its rate goes to ``rate``."""
         ordered = np.sort(largest)
         count = max(LEAST_TAIL, round(TAIL * len(ordered)))
         base, above = ordered[-count - 1], ordered[-count:] - ordered[-count - 1]
@@ -251,7 +252,7 @@ def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
 
 
 def _rises(verdict: np.ndarray) -> int:
-    """Times at which an alarm of the arm begins."""
+    """How often an alarm of the arm begins in verdicts [T, n]."""
     up = np.any(verdict > 0, axis=1)
     before = np.concatenate([[False], up[:-1]])
     return int((up & ~before).sum())

@@ -146,7 +146,7 @@ def _since(config: Config, drawn: _Drawn, score: Score, at: Any) -> np.ndarray:
 
 
 def _error(score: Score, value: np.ndarray) -> np.ndarray:
-    """Infinite where the run diverged."""
+    """Values [scenarios], infinite where the run diverged."""
     return np.where(np.asarray(score.lost) | ~np.isfinite(value), np.inf, value)
 
 
@@ -166,7 +166,7 @@ def _right(name: str, verdict: np.ndarray, wanted: np.ndarray) -> dict[str, np.n
 
 
 def _first(where: np.ndarray) -> np.ndarray:
-    """Number of the first joint, from 1; 0 if there is none."""
+    """Number of the first joint [scenarios] that is there [n, scenarios], from 1; 0 if there is none."""
     return np.where(where.any(0), where.argmax(0) + 1, 0)
 
 

@@ -200,10 +200,12 @@ def _moved(trust: float) -> str:
 
 
 def _rms(x: np.ndarray) -> np.ndarray:
+    """Rms [n] over time of x [T, n]."""
     return np.sqrt((x**2).mean(0))
 
 
 def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[str]]:
+    """The robot of parameters x [p], friction changing sign over ``speed`` rad/s, and what to say of its links."""
     n, notes = robot.n, []
     links = tuple(to_link(link, x[10 * i : 10 * i + 10]) for i, link in enumerate(robot.links))
     for i, length in enumerate(lengths(robot)):
@@ -221,6 +223,7 @@ def _as_robot(robot: Robot, x: np.ndarray, speed: float) -> tuple[Robot, list[st
 
 
 def _parameters(robot: Robot, file: np.ndarray, x: np.ndarray, shown: np.ndarray) -> list[Parameter]:
+    """Every parameter before [p] and after [p], and how much of it the logs show [p]."""
     n, out = robot.n, []
     names = [(name, i) for i in range(n) for name in LINK] + [(name, j) for name in MOTOR for j in range(n)]
     for k, (name, joint) in enumerate(names):

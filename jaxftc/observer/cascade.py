@@ -172,6 +172,7 @@ def _step(config: Config) -> float:
 
 
 def _availability(config: Config, state: State, reading: Reading, frozen: Array, e: Array) -> _Availability:
+    """What becomes of a reading whose innovation is e [n, ...] rad; ``frozen`` [n, ...] bool."""
     absent = ~jnp.isfinite(reading.q)
     wild = jnp.abs(reading.q - state.reading) > _step(config)
     doubted = ((reading.sensors.noisy > 0) & (jnp.abs(e) > _step(config))) | ((reading.sensors.suspect > 0) & wild)

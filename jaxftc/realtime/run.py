@@ -166,7 +166,7 @@ class Run:
         return out._replace(q_hat=self.out.q_hat, qd_hat=np.zeros_like(self.out.q_hat))
 
     def _write(self, tau: np.ndarray) -> bool:
-        """Whether the robot took it."""
+        """Give the robot a torque [n] N m; whether it took it."""
         try:
             self._loop.robot.write(tau)
         except Exception as error:
@@ -191,7 +191,7 @@ class Run:
             self._trip(self._watch.deadlines(self._k * self._loop.config.dt, count))
 
     def _judge(self, t: float, out: Any, missing: np.ndarray, elapsed: float) -> None:
-        """Reaction and trips, when the command is on its way."""
+        """Reaction and trips, when the command is on its way; ``missing`` [n] bool, ``elapsed`` s since the last tick."""
         if np.isfinite(out.q_hat).all() and np.isfinite(out.qd_hat).all():
             self.out = out
         self.reacted, changes = self._loop.reaction.step(self.reacted, out.verdict, elapsed)
