@@ -77,9 +77,11 @@ UNITS = ("", "% of runs", "%", "% of det.", "% of det.", "delay ms", "delay ms",
 
 
 NOTE = (
-    "medians over scenarios, a missed fault being infinitely late; detection of all faults, right of what was detected; "
-    "estimates where their channel is at fault"
+    "Figures are medians over scenarios, where a missed fault is infinitely late. Detection is a share of all faults, right "
+    "verdicts are shares of the detected ones. An estimate counts where its channel is at fault."
 )
+
+BEST = "A star is the best of its column."
 
 
 def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
@@ -115,7 +117,7 @@ def _text(x: float | None, places: int, best: float | None, *, missed: bool) -> 
 
 def as_text(found: dict[str, dict[str, Any]]) -> str:
     """The comparison table as text, one scheme making one row, and the table of verdicts."""
-    star = "; * best of the column" if len(found) > 1 else ""
+    star = f" {BEST}" if len(found) > 1 else ""
     tables = [*aligned(HEAD, UNITS, cells(found)), NOTE + star, ""]
     tables += [*aligned(verdicts.HEAD, verdicts.UNITS, verdicts.cells(found)), verdicts.NOTE]
     lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
@@ -161,7 +163,10 @@ def _by_joint(levels: dict[str, float]) -> str:
 
 def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
     """Who wins where, from the 95 % intervals of paired figures."""
-    lines = ["", "Paired by scenario, judged by 95 % intervals; in brackets the median of one error over the other:"]
+    lines = [
+        "",
+        "Paired by scenario, judged by 95 % intervals. In brackets: the median of its error over the other's.",
+    ]
     for pair in pairs:
         words = {"delay": pair["delay"]} | {error: pair[error]["word"] for error in ERRORS if error in pair}
         parts = [
@@ -169,7 +174,7 @@ def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
             for word in WINS
             if word in words.values()
         ]
-        early = f"earlier in {pair['earlier']}, later in {pair['later']}, at once with it in {pair['same']}"
+        early = f"earlier in {pair['earlier']}, later in {pair['later']}, in the same tick in {pair['same']}"
         lines.append(
             f"  {pair['kind']} faults, {pair['scheme']} against {pair['other']} ({pair['n']}): {early}; {'; '.join(parts)}"
         )

@@ -9,12 +9,13 @@ from jaxftc.evaluation.online import SETTLED
 from jaxftc.evaluation.summary import FAULTY
 
 SOON, LATE = f"{1e3 * SETTLE:.0f} ms", f"{1e3 * SETTLED:.0f} ms"
-HEAD = ("verdict", "detected", "kind", "joint", "both", "kind", "joint", "both", *FAULTY, "two faults")
+HEAD = ("scheme", "detected", "kind", "joint", "exact", "kind", "joint", "exact", *FAULTY, "two faults")
 UNITS = ("", "%", *(f"% at {SOON}",) * 3, *(f"% at {LATE}",) * 3, *("delay ms",) * 3, "both named, ms")
 SHARES = ("detection", *(f"isolation{part}{when}" for when in ("", "_settled") for part in ("_kind", "_joint", "")))
 NOTE = (
-    f"right of what was detected, {SOON} and {LATE} after the alarm, the latter at clearance if that is sooner; an oracle "
-    "knows every fault that has been as large as its threshold (jaxftc/evaluation/oracle.py)"
+    f"Shares of the detected faults whose kind, joints, or exact verdict of every joint was right {SOON} and {LATE} after "
+    "the alarm, or at clearance if that is sooner. An oracle knows every fault that has been as large as its threshold "
+    "(jaxftc/evaluation/oracle.py)."
 )
 
 
