@@ -77,6 +77,11 @@ def table(
     return f"<div class='wide'><table{_class(look)}><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
+def notes(lines: Sequence[str]) -> str:
+    """A small paragraph for each line of text."""
+    return "".join(f"<p class='note'>{html.escape(line)}</p>" for line in lines)
+
+
 def _provenance(ran: Mapping[str, Any]) -> str:
     rows = [(name.replace("_", " "), _plain(value)) for name, value in ran.items()]
     return "<h2>What ran</h2>" + table(("", ""), rows, text=2, look="provenance") if rows else ""
