@@ -92,7 +92,7 @@ def _plain(value: Any) -> str:
         return ", ".join(f"{name} {_plain(one)}" for name, one in value.items()) or "none"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_plain, value))}]"
-    return "default" if value is None else str(value)
+    return "default" if value is None else str(value) or "none"
 
 
 def _cell(column: int, cell: Cell, text: int) -> str:
