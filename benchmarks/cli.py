@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import tyro
 
 from benchmarks.metrics import SECTIONS, Section
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
@@ -75,12 +75,12 @@ class Bench(common.Options):
         if self.gate:
             baseline.load()  # refused now rather than after the run
         config = Config(common.load_arm(self), engine=self.engine)
-        with common.folder(self, f"bench-{self.suite}") as folder:
+        with results.folder(self, f"bench-{self.suite}") as folder:
             suite = {"speed": self._speed, "tuning": self._tuning, "ranking": self._ranking}[self.suite]
             ran = record.of(self, config)
             result, text, page = suite(config, folder, ran)
             result = {"machine": machine.describe(), **result, "provenance": ran}
-            printed = common.write_json(folder / "result.json", result)
+            printed = results.write_json(folder / "result.json", result)
             write_text(folder / "report.html", page)
         common.say(self, text)
         common.say(self, f"\nWritten to {folder}: result.json, report.html")

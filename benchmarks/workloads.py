@@ -16,7 +16,7 @@ import numpy as np
 from jaxftc import export
 from jaxftc.campaigns import run
 from jaxftc.compile import native
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.realtime.tick import Tick

@@ -14,7 +14,7 @@ from pathlib import Path
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from jaxftc.io.files import aside
+from jaxftc.io.files import atomic_path
 
 DOCS = Path(__file__).parent
 ARM = ["--speed", "0.2", "--fps", "12", "--width", "480", "--height", "360"]
@@ -26,7 +26,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run("simulate", "--engine", "chain", "--scenario", "both", "--out", folder / "run")
-        with aside(DOCS / "arm.gif") as gif:
+        with atomic_path(DOCS / "arm.gif") as gif:
             film = folder / "arm.gif"
             run("view", folder / "run", "--video", film, *ARM)
             shutil.copyfile(film, gif)
@@ -44,7 +44,7 @@ def run(*words: object) -> None:
 def photograph(page: Path, element: str, picture: Path) -> None:
     """Save what a page shows of an element, at twice its size and with few colours."""
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))))
-    with sync_playwright() as play, aside(picture) as temporary:
+    with sync_playwright() as play, atomic_path(picture) as temporary:
         browser = play.chromium.launch(executable_path=program, args=["--no-sandbox"])
         tab = browser.new_page(viewport={"width": 820, "height": 900}, device_scale_factor=2)
         tab.goto(page.resolve().as_uri())

@@ -1,7 +1,7 @@
 """``Gains``: everything that tuning may change, each with its unit, shape and limits in one place.
 
-The metadata of a field drives the defaults, the checks, the gains file and the shaping of constants; ``[n]`` leaves hold one
-value a joint. Gains may carry trailing scenario axes of their own, for sweeps.
+The metadata of a field (``gain_spec.py``) drives the defaults, the checks, the gains file and the shaping of constants;
+``[n]`` leaves hold one value a joint. Gains may carry trailing scenario axes of their own, for sweeps.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,55 +19,12 @@ from jax.typing import ArrayLike
 
 from jaxftc import checks, variants
 from jaxftc.config import Config
+from jaxftc.gain_spec import Spec as Spec
+from jaxftc.gain_spec import block as block
+from jaxftc.gain_spec import check_values
+from jaxftc.gain_spec import gain as gain
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
-
-
-class Spec(NamedTuple):
-    """What a gain is: axes (n joints, a and b Laguerre functions, u inputs, or a number), unit, default, limits."""
-
-    axes: tuple[str, ...]
-    unit: str
-    default: Any
-    low: float
-    high: float
-    open_low: bool
-    doc: str
-
-
-def gain(
-    axes: str,
-    unit: str,
-    default: Any,
-    low: float = -math.inf,
-    high: float = math.inf,
-    *,
-    above: float | None = None,
-    doc: str,
-) -> Any:
-    """A field of a block of gains.
-
-    Args:
-        axes: Its own axes with blanks between: ``n`` is one value a joint, a number so many for all joints.
-        unit: Its unit, 1 if it has none.
-        default: A number, or one for each of so many.
-        low: Least value that is allowed.
-        high: Largest value that is allowed.
-        above: In place of ``low``, the value that it must lie above.
-        doc: What it is, in a few words.
-    """
-    spec = Spec(tuple(axes.split()), unit, default, low if above is None else above, high, above is not None, doc)
-    return dataclasses.field(metadata={"spec": spec})
-
-
-def block(cls: type) -> type:
-    """Make a class of ``gain`` fields a block of gains: a pytree, its fields explained in ``help()``."""
-    cls = jax.tree_util.register_dataclass(dataclasses.dataclass(frozen=True)(cls))
-    specs = [(field.name, field.metadata["spec"]) for field in dataclasses.fields(cls)]
-    lines = [f"    {name}: [{', '.join(spec.axes)}] {spec.unit}, {spec.doc}." for name, spec in specs]
-    cls.__doc__ = "\n".join([cls.__doc__ or "", "", "Attributes:", *lines])
-    return cls
-
 
 _THIRDS = tuple(k / 3 for k in range(-3, 4))
 _Q_RANGE, _S_RANGE = math.radians(100.0), 1.0  # rad and rad/s, the paper's ranges of Table 1's inputs
@@ -164,7 +121,7 @@ class AdaptationGains:
 
 @block
 class BaselineGains:
-    """The other schemes: computed torque, momentum observer, extended Kalman filter (jaxftc/baselines).
+    """The other schemes: computed torque, momentum observer, extended Kalman filter (jaxftc/schemes).
 
     A walk is the standard deviation that a random walk reaches in one second.
     """
@@ -237,7 +194,6 @@ BLOCKS = {
     "baseline": BaselineGains,
 }
 NAMES = tuple(f"{block}.{field.name}" for block, cls in BLOCKS.items() for field in dataclasses.fields(cls))
-INCREASING = ("tau_centres", "jump_centres", "q_centres", "s_centres")
 
 
 def blocks(of: Config | Gains | None = None) -> dict[str, type]:
@@ -252,9 +208,9 @@ def blocks(of: Config | Gains | None = None) -> dict[str, type]:
 
 def specs(of: Config | Gains | None = None) -> Iterator[tuple[str, str, Spec]]:
     """(block, name, spec) of every gain, in order; see ``blocks``."""
-    for block, cls in blocks(of).items():
+    for part, cls in blocks(of).items():
         for field in dataclasses.fields(cls):
-            yield block, field.name, field.metadata["spec"]
+            yield part, field.name, field.metadata["spec"]
 
 
 def names(of: Config | Gains | None = None) -> tuple[str, ...]:
@@ -319,25 +275,10 @@ def check(config: Config, gains: Gains) -> None:
             f"gains.own must be those of scheme {config.scheme!r}, got {type(gains.own).__name__}; default_gains(config) "
             "has them"
         )
-    for block, name, spec in specs(config):
-        leaf, path = getattr(getattr(gains, block), name), f"{block}.{name}"
+    for part, name, spec in specs(config):
+        leaf, path = getattr(getattr(gains, part), name), f"{part}.{name}"
         shape = shape_of(config, spec)
         if jnp.shape(leaf)[: len(shape)] != shape:
             raise ValueError(f"{path} must have shape {list(shape)}, got {list(jnp.shape(leaf))}; n is {config.n} joints")
         if not isinstance(leaf, Tracer):
-            _check_values(path, np.asarray(leaf), spec)
-
-
-def _check_values(path: str, value: np.ndarray, spec: Spec) -> None:
-    if not np.isfinite(value).all():
-        raise ValueError(f"{path} must be finite, got {value.tolist()}")
-    both_open = spec.open_low and spec.high == 1.0 and spec.low == -1.0
-    below = value <= spec.low if spec.open_low else value < spec.low
-    over = value >= spec.high if both_open else value > spec.high
-    if (below | over).any():
-        closing = ")" if both_open or math.isinf(spec.high) else "]"
-        interval = f"{'(' if spec.open_low else '['}{spec.low:g}, {spec.high:g}{closing}"
-        unit = "" if spec.unit == "1" else f" {spec.unit}"
-        raise ValueError(f"{path} must lie in {interval}{unit}, got {value.tolist()}")
-    if path.split(".")[1] in INCREASING and (np.diff(value, axis=0) <= 0).any():
-        raise ValueError(f"{path} must increase from set to set, got {value.tolist()}")
+            check_values(path, np.asarray(leaf), spec)

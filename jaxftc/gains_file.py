@@ -17,7 +17,7 @@ from jaxftc.version import __version__
 
 
 def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
-    """Write gains with their units to a TOML file, aside first, then renamed.
+    """Write gains with their units to a TOML file, whole or not at all.
 
     Args:
         path: The file.

@@ -26,9 +26,8 @@ SCHEMES: dict[str, str] = {
     "computed_torque": "jaxftc.schemes.computed_torque",
 }
 
-CASCADES: dict[
-    str, dict[str, Any]
-] = {  # the cascade with another observer or control, or an arm that is learned: what changes in the config
+# The cascade with another observer or control, or an arm that is learned: what changes in the config.
+CASCADES: dict[str, dict[str, Any]] = {
     "pi": {"observer": "pi"},
     "eso": {"observer": "eso"},
     "eso_printed": {"observer": "eso_printed"},

@@ -1,4 +1,4 @@
-"""``jaxftc tune``: gains over vmapped fault scenarios, and what they are worth on scenarios never seen."""
+"""``jaxftc tune``: gains by descent over simulated faults, compared on held-out scenarios."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import contextlib
 import dataclasses
 import secrets
 import shlex
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 from jaxftc.io.tables import write_parquet
 from tuning.settings import Settings
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
-
     from jaxftc.config import Config
     from jaxftc.gains import Gains
     from tuning.held_out import Comparison
-    from tuning.loop import Progress, Result
+    from tuning.loop import Result
+    from tuning.terms import Term
 
 HELD_OUT = 0x48454C44  # keeps held-out scenarios apart from those of a training seed with the same number
 
@@ -57,7 +55,8 @@ class Tune(common.Options):
     duration: float | None = None
     """Length of a simulated run, s; the motion's, 1 s, if not given."""
     only: tuple[str, ...] = ()
-    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles if not given. arx.xi_a is both poles."""
+    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles and what torque thresholds
+    follow if not given. arx.xi_a is both poles."""
     freeze: tuple[str, ...] = ()
     """Gains or blocks to leave as they are."""
     shared: tuple[str, ...] = ()
@@ -100,29 +99,18 @@ class Tune(common.Options):
         """What every process does, and what the first, or only, one does with it."""
         import jax
 
-        from jaxftc import Config, checks, load_preset, sample_scenarios
+        from jaxftc import checks, load_preset, sample_scenarios
         from jaxftc.compile import processes
-        from jaxftc.variants import changes
-        from tuning import terms, transform
+        from tuning import transform
+        from tuning.bar import Bar
         from tuning.held_out import compare
         from tuning.loop import fit
 
         self.settings.check()
-        objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
-        limits = common.numbers("--limit", self.limit, "delay=0.02")
-        terms.check_terms("limit", objective, limits)
+        objective, limits = self._objective()
         checks.integer("--held-out", self.held_out, 2, "the gains are compared on them", high=1_000_000)
         checks.seed("--held-out-seed", self.held_out_seed or 0)
-        common.look_here_for(self.scheme)
-        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
-        config = Config(
-            common.load_arm(self),
-            dt=common.sample_time(self),
-            engine=self.engine,
-            rules=self.rules,
-            duration=self.duration,
-            **structure,
-        )
+        config = self._config()
         preset = load_preset(self.preset)
         free = transform.select(config, self.only, self.freeze)
         start = common.load_or_default(self, config)
@@ -158,6 +146,31 @@ class Tune(common.Options):
         if self.json:
             print(text)
 
+    def _objective(self) -> tuple[dict[str, Term], dict[str, float]]:
+        """Terms with their weights, and limits on them."""
+        from tuning import terms
+
+        objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
+        limits = common.numbers("--limit", self.limit, "delay=0.02")
+        terms.check_terms("limit", objective, limits)
+        return objective, limits
+
+    def _config(self) -> Config:
+        """What runs."""
+        from jaxftc import Config
+        from jaxftc.variants import changes
+
+        common.look_here_for(self.scheme)
+        structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
+        return Config(
+            common.load_arm(self),
+            dt=common.sample_time(self),
+            engine=self.engine,
+            rules=self.rules,
+            duration=self.duration,
+            **structure,
+        )
+
     def _held_out_seed(self) -> int:
         """The seed of the held-out scenarios, the same in all processes."""
         from jaxftc.compile.processes import from_first
@@ -170,7 +183,7 @@ class Tune(common.Options):
         """The folder for results, and for what a stopped run has left."""
         from tuning import checkpoint
 
-        with common.folder(self, "tune", goes_on=True) as folder:
+        with results.folder(self, "tune", goes_on=True) as folder:
             if self.force:
                 (folder / checkpoint.NAME).unlink(missing_ok=True)
             if self.out is None:
@@ -191,7 +204,7 @@ class Tune(common.Options):
         ran = record.of(self, config, more=same_seed)
         told = as_json(result, comparisons, folder) | {"held_out_seed": seed, "provenance": ran}
         write_text(folder / "report.html", report.page_of(config, start, result, comparisons, ran))
-        return common.write_json(folder / "result.json", told)
+        return results.write_json(folder / "result.json", told)
 
     def _tell(
         self, folder: Path, config: Config, start: Gains, result: Result, comparisons: list[Comparison], seed: int
@@ -209,41 +222,6 @@ class Tune(common.Options):
         if self.rules == "printed" and staged(config):  # what the command has options for
             words.append(f"--gains {shlex.quote(str(folder / 'gains.toml'))}")
             common.say(self, f"See them at work: {' '.join(filter(None, words))}")
-
-
-class Bar:
-    """Progress on stderr: loss, gradient norm, time left, scenario steps a second (a gradient counts as several runs)."""
-
-    def __init__(self, config: Config, *, shown: bool = True) -> None:
-        from tqdm import tqdm
-
-        self.ticks = config.ticks
-        self.last: Progress | None = None
-        self.bar: tqdm[Any] = tqdm(
-            desc="compiling, a minute or so the first time", unit="step", leave=False, disable=not shown
-        )
-
-    def __enter__(self) -> Bar:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.bar.close()
-
-    def show(self, progress: Progress, best: Gains) -> None:
-        """After a round."""
-        done, since = (self.last.simulations, self.last.seconds) if self.last else (0, 0.0)
-        rate = (progress.simulations - done) * self.ticks / (progress.seconds - since)
-        self.bar.set_description("tuning", refresh=False)
-        self.bar.total = progress.steps
-        norm = "" if progress.gradient_norm != progress.gradient_norm else f", |gradient| {progress.gradient_norm:.2g}"
-        text = f"loss {progress.loss:.3f}{norm}, validation {progress.validation:.3f}, {rate:.1e} scenario-steps/s"
-        self.bar.set_postfix_str(text, refresh=False)
-        if self.last is None:  # time left is judged by the rounds that follow: this one compiled, or was a resumed run's
-            self.bar.initial, self.bar.n, self.bar.start_t = progress.step, progress.step, time.time()
-            self.bar.refresh()
-        else:
-            self.bar.update(progress.step - self.bar.n)
-        self.last = progress
 
 
 def as_json(result: Result, comparisons: list[Comparison], folder: Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import Array
 from tuning.problem import Problem, shared

@@ -107,7 +107,8 @@ def fit(
         limits: Largest means of terms on the validation scenarios. Gains beyond one are never
             chosen; where none are found that keep all, the start is the answer
             (``Result.within_limits``).
-        only: What is tuned; all that the config uses but the poles, if empty.
+        only: What is tuned; if empty all that the config uses but the poles and what torque
+            thresholds follow.
         freeze: What of it is not.
         shared: What moves on all joints alike.
         settings: How to search.
@@ -236,7 +237,7 @@ class _Run:
         return all(means[self.problem.names.index(name)] <= limit for name, limit in self.limits.items())
 
     def _recovered(self, step: int, loss: float, scores: np.ndarray) -> None:
-        """Tell what has run away; after too many times, stop and say which term it was."""
+        """Note which term of scores [terms, scenarios] ran away; after too many times, stop."""
         worst = int(np.argmax(self.problem.weights * (scores.mean(1) - self.before.mean(1))))
         what = f"{self.problem.names[worst]} rose from {self.before[worst].mean():.3g} to {scores[worst].mean():.3g}"
         self.recoveries += 1

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.gains import Gains
 from jaxftc.scenarios.scenario import Scenario, take, trail
 from tuning import search, transform

@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxftc import stages
 from jaxftc.compile.devices import everywhere, over_scenarios
-from jaxftc.compile.xla import Kind, jit
+from jaxftc.compile.jit import jit
+from jaxftc.compile.xla import Kind
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains
@@ -217,5 +218,5 @@ def _rows(values: list[Array], axes: tuple[int, ...]) -> Array:
 
 
 def _sound(terms: Array) -> Array:
-    """``LOST`` in every term of a run that has one that is not finite."""
+    """Terms [terms, B] with ``LOST`` in all of a run that has one that is not finite."""
     return jnp.where(jnp.isfinite(terms).all(0), terms, LOST)

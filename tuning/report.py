@@ -39,7 +39,7 @@ def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comp
         "<h2>How the loss fell</h2>",
         embed(loss_figure(result)),
         "<h2>Gains, before and after</h2>",
-        embed(gains_figure(config, start, result.gains)),
+        embed(gains_figure(config, start, result.gains)) if moved(start, result.gains) else "<p>No gain moved.</p>",
     ]
     if config.control == "afesmc":
         sections += [
@@ -109,9 +109,10 @@ def loss_figure(result: Result) -> go.Figure:
         figure.add_scatter(x=x, y=h[name], name=name[5:], line=line, row=2, col=1)
     figure.update_yaxes(title_text="loss", row=1, col=1)
     figure.update_yaxes(title_text="mean of term, last batch", row=2, col=1)
-    note = "Batches differ, so their curves are noisy; the validation set is always the same."
+    note = "Batches differ, so their curves are noisy; the validation set is always the same. A gradient counts as several "
+    "simulations."
     finish(figure, "Loss and its terms", note, panels=3)
-    figure.layout["xaxis2"].title = "closed-loop simulations, a gradient counted as several"
+    figure.layout["xaxis2"].title = "closed-loop simulations"
     return figure
 
 
@@ -157,7 +158,7 @@ def gains_figure(config: Config, before: Gains, after: Gains) -> go.Figure:
     finish(
         figure,
         "Gain after over before",
-        "A dot a joint or set; hover for values. Gains that were 0 or changed sign are in gains.toml only.",
+        "A dot is one joint or set; hover for values. Gains that were 0 or changed sign are in gains.toml only.",
     )
     figure.update_xaxes(type="log", title_text="after / before")
     return figure.update_layout(height=220 + 22 * len(set(names)), showlegend=False)

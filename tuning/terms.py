@@ -75,7 +75,7 @@ def _limit(run: Run) -> Array:
 
 
 def _share(x: Array) -> Array:
-    """Share x / (1 + x) of something x over its tolerance; below 1, so that runs beyond hope do not outvote the others."""
+    """Share x / (1 + x), any shape, of an error over its tolerance; below 1: hopeless runs do not outvote the others."""
     return x / (1 + x)
 
 
@@ -189,7 +189,7 @@ def _so_far(x: Array) -> Array:
 
 
 def _mean(x: Array, where: Array, axis: int) -> Array:
-    """Mean over the entries of ``where``, 0 where there is none."""
+    """Mean of x along ``axis`` over the entries of ``where``, which broadcasts to it; 0 where there is none."""
     where = jnp.broadcast_to(where, x.shape)
     return jnp.where(where, x, 0.0).sum(axis) / jnp.maximum(where.sum(axis), 1)
 

@@ -26,10 +26,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks, stages
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
-from jaxftc.gains import INCREASING, Gains, Spec, blocks, names, shape_of, specs
+from jaxftc.gain_spec import INCREASING
+from jaxftc.gains import Gains, Spec, blocks, names, shape_of, specs
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import arx
 from jaxftc.observer.readout import exact
@@ -260,7 +261,7 @@ def _bounds(name: str, spec: Spec) -> tuple[float, float]:
 
 
 def _to_free(name: str, spec: Spec, value: np.ndarray, gap: float, smallest: float) -> np.ndarray:
-    """Free coordinates of a gain."""
+    """Free coordinates of a gain, in its shape; set centres as the first one and the logs of their gaps."""
     low, high = _bounds(name, spec)
     if name in INCREASING:
         return np.concatenate([value[:1] / gap, np.log(np.diff(value))])
@@ -272,7 +273,7 @@ def _to_free(name: str, spec: Spec, value: np.ndarray, gap: float, smallest: flo
 
 
 def _from_free(leaf: Leaf, free: Array, gap: Array) -> Array:
-    """The gain at free coordinates; inverse of ``_to_free`` inside the limits."""
+    """The gain at free coordinates of its shape; inverse of ``_to_free`` inside the limits."""
     low, high = _bounds(leaf.name, leaf.spec)
     if leaf.name in INCREASING:
         first = gap * free[:1]

@@ -22,7 +22,7 @@ from jaxftc.campaigns import follow as following
 from jaxftc.campaigns.run import scores, torque_statistics
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
-from jaxftc.evaluation.intervals import Interval, share, tolerated
+from jaxftc.evaluation.intervals import Interval, check_shares, share, tolerated
 from jaxftc.gains import Gains
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.scenario import Scenario, take
@@ -186,9 +186,7 @@ def allowed(runs: int, false_alarms: float, confidence: float) -> int:
     Raises:
         ValueError: a share outside (0, 1), or so few runs that none of them may.
     """
-    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
-        if not 0 < value < 1:
-            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
+    check_shares(false_alarms, confidence)
     count = tolerated(runs, false_alarms, confidence)
     if count < 0:
         least = math.ceil(math.log(1 - confidence) / math.log(1 - false_alarms))

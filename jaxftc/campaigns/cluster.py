@@ -121,7 +121,8 @@ def _pass_on(done: Future[Any], future: Future[Any]) -> None:
         return
     cause = getattr(error, "cause", None)
     if not isinstance(cause, ValueError | OSError):
-        first = str(cause or error).strip().splitlines()[-1 if cause is None else 0]
+        said = str(cause or error).strip() or repr(cause or error)
+        first = said.splitlines()[-1 if cause is None else 0]
         cause = OSError(
             f"a chunk failed, or was lost {RETRIES + 1} times: {first}; rows that "
             "are there stay, and the same command goes on"

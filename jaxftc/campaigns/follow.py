@@ -64,7 +64,7 @@ def by_joint(shares: Shares, joints: tuple[str, ...]) -> dict[str, dict[str, flo
 
 
 def pinball(excess: np.ndarray, quantile: float) -> float:
-    """Mean loss of |S| less its threshold: quantile above, 1 - quantile below."""
+    """Mean loss of |S| less its threshold [moments] N m: quantile above, 1 - quantile below."""
     return float(np.maximum(quantile * excess, (quantile - 1) * excess).mean())
 
 

@@ -27,7 +27,11 @@ POSES = 200  # of the logs, at which inertias are looked at
 
 def fit(config: Config, gains: Gains, logs: list[Log]) -> follow.Shares:
     """Shares for gains that have been calibrated on the same logs with constant thresholds."""
-    parts = [_of_log(config, gains, log) for log in logs]
+    parts, blocks = [], 0
+    for log in logs:  # by turns over all of them: short logs would otherwise all go to the first half
+        size, motion, block = _of_log(config, gains, log)
+        parts.append((size, motion, (blocks + block) % 2))
+        blocks += int(block.max(initial=-1)) + 1
     size, motion, half = (np.concatenate(part, -1) for part in zip(*parts, strict=True))
     halves = [follow.Moments(size[:, half == k], motion[..., half == k]) for k in (0, 1)]
     quantile = min(follow.QUANTILE, 1 - ABOVE / max(half.sum(), 2 * ABOVE))
@@ -35,7 +39,7 @@ def fit(config: Config, gains: Gains, logs: list[Log]) -> follow.Shares:
 
 
 def _of_log(config: Config, gains: Gains, log: Log) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """|S| [n, T], motion [n, 5, T] and half [T] of every moment of a log; the moments before anything is said left out.
+    """|S| [n, T], motion [n, 5, T] and block [T] of every moment of a log; the moments before anything is said left out.
 
     Thresholds that nothing reaches, with a share of one for one motion each, side by side: they are the motions.
     """
@@ -46,7 +50,7 @@ def _of_log(config: Config, gains: Gains, log: Log) -> tuple[np.ndarray, np.ndar
     motion = np.concatenate([part.threshold_tau for part in said]) / NEVER - 1  # [T, n, 5]
     block = np.arange(len(size)) * config.dt // MIXED
     moments = np.arange(len(size)) * config.dt >= 2 * SETTLE
-    return size[moments].T, np.moveaxis(motion[moments], 0, -1), (block[moments] % 2).astype(int)
+    return size[moments].T, np.moveaxis(motion[moments], 0, -1), block[moments].astype(int)
 
 
 def _most(config: Config, logs: list[Log]) -> np.ndarray:

@@ -23,7 +23,7 @@ from scipy import stats
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.evaluation.intervals import tolerated
+from jaxftc.evaluation.intervals import check_shares, tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
@@ -111,9 +111,7 @@ def calibrate_on_logs(
     Raises:
         ValueError: a share outside (0, 1), logs that are too short, or statistics that are not finite.
     """
-    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
-        if not 0 < value < 1:
-            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")
+    check_shares(false_alarms, confidence)
     healthy = sum(len(log.q) for log in logs) * config.dt
     run = healthy / len(logs) if run is None else run
     checks.positive("run", run, "seconds")
@@ -125,25 +123,8 @@ def calibrate_on_logs(
             f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed"
         )
     level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
-    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
-    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
-    which = _best(largest, _rates(config))
-    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
-    series = np.take_along_axis(found.tau, np.broadcast_to(which[None, :, None], (blocks, config.n, 1)), 2)[..., 0]
-    alpha_tau = scale * level.factor(series)
-    widest = np.maximum(found.w.max(0), LEAST_JUMP)
-    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
-    changes = {
-        "diagnosis.alpha_tau": alpha_tau,
-        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
-        "diagnosis.lam_tau": 1.0,
-        "observer.jump": 2 * half_jump,
-        "diagnosis.rate": _rates(config)[which],
-        "diagnosis.stiction": stiction,
-    }
-    gains = gains.replace(changes)
+    gains = gains.replace(_thresholds(config, found, level) | {"diagnosis.stiction": stiction})
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
-    hours = healthy / 3600
     promise = Promise(
         healthy_s=healthy,
         run_s=run,
@@ -153,9 +134,28 @@ def calibrate_on_logs(
         wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
         fitted_per_hour=level.rate * 3600 / BLOCK if level.method == "tail" else None,
         seen=seen,
-        at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / hours),
+        at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / (healthy / 3600)),
     )
     return LogCalibration(gains, promise, noise)
+
+
+def _thresholds(config: Config, found: _Peaks, level: _Level) -> dict[str, np.ndarray | float]:
+    """Thresholds, the jump and the rate by gain: the largest statistics seen, times the level's factor."""
+    limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
+    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
+    which = _best(largest, _rates(config))
+    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
+    at_rate = np.broadcast_to(which[None, :, None], (len(found.tau), config.n, 1))
+    alpha_tau = scale * level.factor(np.take_along_axis(found.tau, at_rate, 2)[..., 0])
+    widest = np.maximum(found.w.max(0), LEAST_JUMP)
+    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
+    return {
+        "diagnosis.alpha_tau": alpha_tau,
+        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
+        "diagnosis.lam_tau": 1.0,
+        "observer.jump": 2 * half_jump,
+        "diagnosis.rate": _rates(config)[which],
+    }
 
 
 class _Level:
@@ -180,11 +180,12 @@ class _Level:
         return self._fitted(largest)
 
     def _counted(self, largest: np.ndarray) -> float:
+        """The level that no more than the allowed number of runs exceeds, of ``largest`` [blocks]."""
         runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
         return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
 
     def _fitted(self, largest: np.ndarray) -> float:
-        """The level that the fitted tail gives for the wanted share, within its bounds; its rate there goes to ``rate``."""
+        """The level that a tail fitted to ``largest`` [blocks] gives for the wanted share; its rate goes to ``rate``."""
         ordered = np.sort(largest)
         count = max(LEAST_TAIL, round(TAIL * len(ordered)))
         base, above = ordered[-count - 1], ordered[-count:] - ordered[-count - 1]
@@ -251,7 +252,7 @@ def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
 
 
 def _rises(verdict: np.ndarray) -> int:
-    """Times at which an alarm of the arm begins."""
+    """How often an alarm of the arm begins in verdicts [T, n]."""
     up = np.any(verdict > 0, axis=1)
     before = np.concatenate([[False], up[:-1]])
     return int((up & ~before).sum())

@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxftc import checks, stages
 from jaxftc.compile.devices import cores
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.evaluation import online, table

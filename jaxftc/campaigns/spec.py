@@ -150,14 +150,14 @@ def begin(
     """
     made_with = versions()
     if (folder / store.MANIFEST).exists():
-        store.agree(folder, request)
-        store.unaltered(folder)
+        store.check_same_request(folder, request)
+        store.check_inputs_unchanged(folder)
         manifest = store.read_manifest(folder)
         if manifest["made_with"] != made_with:
-            begun, here = (" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with))
-            note(f"{folder} was begun with {begun}, here {here}: new rows may differ in their last digits")
+            begun, now = (" ".join(map(" ".join, v.items())) for v in (manifest["made_with"], made_with))
+            note(f"{folder} was begun with {begun}, here {now}: new rows may differ in their last digits")
         return job._replace(gains=load_gains(folder / store.GAINS, job.config)), manifest
-    store.empty(folder)
+    store.refuse_orphan_chunks(folder)
     manifest = {"made_with": made_with, "chunk": CHUNK, "request": request, "config": describe(job.config)}
     if false_alarms is not None and scheme(job.config).DIAGNOSES:
         found = set_thresholds(job, false_alarms, done, follow=follow)
@@ -233,7 +233,7 @@ def load(folder: Path, base: Config) -> Job:
     Raises:
         ValueError: no campaign, or the robot is another one than it ran with.
     """
-    store.unaltered(folder)
+    store.check_inputs_unchanged(folder)
     manifest = store.read_manifest(folder)
     name = store.scheme_of(manifest)
     config = variant(base, name)

@@ -75,7 +75,7 @@ def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
     write_text(folder / MANIFEST, text)
 
 
-def unaltered(folder: Path) -> None:
+def check_inputs_unchanged(folder: Path) -> None:
     """Refuse to go on from files that are not those that the campaign began with.
 
     Raises:
@@ -93,7 +93,7 @@ def _as_written(path: Path) -> None:
         )
 
 
-def agree(folder: Path, request: dict[str, Any]) -> None:
+def check_same_request(folder: Path, request: dict[str, Any]) -> None:
     """Refuse to go on with another campaign than the folder's.
 
     Raises:
@@ -107,7 +107,7 @@ def agree(folder: Path, request: dict[str, Any]) -> None:
         )
 
 
-def empty(folder: Path) -> None:
+def refuse_orphan_chunks(folder: Path) -> None:
     """Refuse a folder that holds rows of unknown origin.
 
     Raises:

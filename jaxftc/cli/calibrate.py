@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.cli.campaign import Laws
 
 if TYPE_CHECKING:
@@ -78,13 +78,13 @@ class Calibrate(Laws):
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         enough(self.runs, self.false_alarms, self.confidence)
-        with common.folder(self, "calibrate") as folder:
+        with results.folder(self, "calibrate") as folder:
             with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
                 wanted = {"runs": self.runs, "confidence": self.confidence, "follow": self.follow}
                 found = set_thresholds(job, self.false_alarms, bar.update, **wanted)
             save_gains(folder / "gains.toml", found.gains, job.config)
             result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
-            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
+            text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})
         common.say(self, table(job.config, job.gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:
@@ -118,11 +118,11 @@ class Calibrate(Laws):
             shares = log_follow.fit(config, found.gains, logs)
             followed = {"follow_loss": shares.loss.tolist()}
             found = calibrate_on_logs(config, with_shares(gains, shares.values), logs, **wanted)
-        with common.folder(self, "calibrate") as folder:
+        with results.folder(self, "calibrate") as folder:
             save_gains(folder / "gains.toml", found.gains, config)
             result = found.promise._asdict() | by_joint(config, found.gains) | {"gains": str(folder / "gains.toml")}
             result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]} | followed
-            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
+            text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
         common.say(self, log_table(config, gains, found))
         common.say(self, f"\nWritten to {folder}: gains.toml, result.json")
         if self.json:
@@ -189,22 +189,18 @@ def table(config: Config, before: Gains, found: Calibration) -> str:
 def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     """Thresholds before and after, a line a joint."""
     from jaxftc.campaigns.calibrate import by_joint
+    from jaxftc.evaluation.comparison import RISES
 
     was, now = by_joint(config, before), by_joint(config, after)
     lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:
         torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
         lines.append(f"{name:10}{torque:>28}{angle:>30}")
-    rises = {"speed, s/rad": "speed", "acceleration, s^2/rad": "acceleration", "turning round": "reversal",
-             "torque, 1/(N m)": "torque", "payload, 1/(N m)": "payload"}  # fmt: skip
-    if f"follow_{rises['speed, s/rad']}" not in now:
+    if not RISES.keys() <= now.keys():
         return lines
     lines += [
         "\nshare by which the torque threshold of a joint at rest rises with",
-        " " * 10 + "".join(map("{:>24}".format, rises)),
+        " " * 10 + "".join(map("{:>28}".format, RISES.values())),
     ]
-    lines += [
-        f"{name:10}" + "".join(f"{now[f'follow_{word}'][name]:24.4g}" for word in rises.values())
-        for name in config.robot.joint_names
-    ]
+    lines += [f"{name:10}" + "".join(f"{now[rise][name]:28.4g}" for rise in RISES) for name in config.robot.joint_names]
     return lines

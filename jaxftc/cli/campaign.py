@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ class Campaign(Laws):
             raise ValueError("--follow sets thresholds, and needs --false-alarms, the share of healthy runs with an alarm")
         if share is not None:
             allowed(HEALTHY // 2, share, 0.95)
-        with common.folder(self, "campaign", goes_on=True) as folder:
+        with results.folder(self, "campaign", goes_on=True) as folder:
             if self.out is None:
                 common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
             folders = {name: folder / name.replace(":", ".") if self.compare else folder for name in names}
@@ -135,7 +135,7 @@ class Campaign(Laws):
                 pairs = comparison.against(rows)
                 common.say(self, comparison.pairs_as_text(pairs))
                 ran = record.of(self, self.base())
-                text = common.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs, "provenance": ran})
+                text = results.write_json(folder / store.SUMMARY, {"schemes": found, "pairs": pairs, "provenance": ran})
                 write_text(folder / store.REPORT, campaign.comparison(found, pairs, ran))
             else:
                 common.say(self, comparison.kinds_as_text(found[names[0]]))
@@ -175,9 +175,9 @@ class Campaign(Laws):
             raise ValueError(f"{folder} holds a comparison of {', '.join(sorted(inside))}; name them all, or another --out")
         for name, own in folders.items():
             if (own / store.MANIFEST).exists():
-                store.agree(own, requests[name])
+                store.check_same_request(own, requests[name])
             else:
-                store.empty(own)
+                store.refuse_orphan_chunks(own)
 
     def _one(
         self, folder: Path, job: Job, request: dict[str, Any], share: float | None, workers: Cluster | None
@@ -217,7 +217,7 @@ class Campaign(Laws):
             result |= {"thresholds": by_joint(job.config, job.gains), "small_faults": summary.small(rows, job.gains)}
         ran = record.of(self, job.config)
         result |= {"provenance": ran | {"gains_that_ran": record.gains_file(folder / store.GAINS)}}
-        common.write_json(folder / store.SUMMARY, result)
+        results.write_json(folder / store.SUMMARY, result)
         shown = worst(job, rows, self.worst)
         write_text(folder / store.REPORT, campaign.campaign(job.config, folder, rows, result, shown))
         return result

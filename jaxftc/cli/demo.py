@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
+from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
     from jaxftc.paper.results import Experiment, Row
@@ -28,10 +29,10 @@ class Demo(common.Options):
         config = Config(robot, dt=common.sample_time(self), engine=self.engine)
         gains = common.load_or_default(self, config)
         key = common.key(self)
-        with common.folder(self, "demo") as folder:
+        with results.folder(self, "demo") as folder:
             experiment = paper.run(config, gains, key)
             ran = record.of(self, config)
-            text = common.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
+            text = results.write_json(folder / "result.json", paper.as_json(experiment) | {"provenance": ran})
             write_text(folder / "report.html", demo_page(config, gains, experiment, ran))
         common.say(self, table(experiment.rows))
         common.say(self, claims(experiment))
@@ -46,15 +47,9 @@ def table(rows: list[Row]) -> str:
     from jaxftc.paper.page import comparison
 
     head, units, cells = comparison(rows)
-    lines = [head, units, *cells]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    text = [
-        "  ".join(cell.ljust(w) if k < 3 else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
-        for line in lines
-    ]
-    note = f"told apart: every joint's verdict is right {1e3 * SETTLE:.0f} ms after the first alarm; "
+    note = f"isolated: every joint's verdict is right {1e3 * SETTLE:.0f} ms after the first alarm; "
     note += "chattering: torque travel over its limit"
-    return "\n".join([*text[:2], "-" * len(text[0]), *text[2:], note])
+    return "\n".join([*aligned(head, units, cells, text=3), note])
 
 
 def claims(experiment: Experiment) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.cli.identify import LogOptions, column_names
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             raise ValueError("give a log: jaxftc diagnose LOG --robot FILE --gains FILE --out DIR")
         common.prepare(self)
         arm = common.whole_arm(self.robot, self.tip, self.lock)
-        with common.folder(self, "diagnose") as folder:
+        with results.folder(self, "diagnose") as folder:
             text = self._diagnose(self.log, arm, folder)
         common.say(self, f"\nWritten to {folder}: events.csv, report.html, result.json, samples.parquet")
         if self.json:
@@ -92,7 +92,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             folder / "report.html",
             diagnosis_page(f"Diagnosis of {path.name}", record, curves, levels, names, tuple(notes)),
         )
-        return common.write_json(folder / "result.json", record)
+        return results.write_json(folder / "result.json", record)
 
     def _wanted(self, arm: Arm) -> tuple[Any, Any]:
         """What ``pieces`` reads the log for: the arm at the log's own sample time, or at that of the gains."""
@@ -130,9 +130,9 @@ class Samples:
     def __enter__(self) -> Samples:
         import duckdb
 
-        self._aside = self.path.with_name(self.path.name + ".rows")
-        self._aside.unlink(missing_ok=True)
-        self._rows = duckdb.connect(str(self._aside), config={"memory_limit": MEMORY})  # else most of the machine's
+        self._table = self.path.with_name(self.path.name + ".rows")
+        self._table.unlink(missing_ok=True)
+        self._rows = duckdb.connect(str(self._table), config={"memory_limit": MEMORY})  # else most of the machine's
         columns = ["t double"] + [
             f'"{s}_{j}" {"tinyint" if s == "verdict" else "float"}' for s in SIGNALS for j in self.joints
         ]
@@ -152,13 +152,13 @@ class Samples:
         self._rows.unregister("stretch")
 
     def __exit__(self, kind: Any, *_: object) -> None:
-        from jaxftc.io.files import aside
+        from jaxftc.io.files import atomic_path
 
         if kind is None:
-            with aside(self.path) as temporary:
+            with atomic_path(self.path) as temporary:
                 self._rows.execute("copy samples to $path (format parquet)", {"path": str(temporary)})
         self._rows.close()
-        self._aside.unlink(missing_ok=True)
+        self._table.unlink(missing_ok=True)
 
 
 def log_config(robot: Any, dt: float) -> Config:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 
 if TYPE_CHECKING:
     from jaxftc.export.check import Compared
@@ -58,12 +58,12 @@ class Export(common.Options):
         config = variant(Config(common.load_arm(self), dt=dt, t_final=1000 * dt, engine="chain"), self.scheme)
         with precision("double"):
             gains = common.load_or_default(self, config)
-        with common.folder(self, "export") as folder:
+        with results.folder(self, "export") as folder:
             tick = write(config, gains, folder, real=self.real, gains_at_run_time=self.gains_at_run_time)
             compared = self._compare(tick, folder) if self.check else {}
             checked = {name: one._asdict() | {"met": one.met} for name, one in compared.items()}
             result = tick.metadata | {"check": checked or None}
-            text = common.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
+            text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
         for name, one in compared.items():
             common.say(self, table(name, one))
         common.say(self, f"Written to {folder}: ftc_step.h, ftc_step.c, example.c, StableHLO, gains.toml, ftc.json")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 
 if TYPE_CHECKING:
     from jaxftc.identify.physical import Identified, Share
@@ -83,12 +83,12 @@ class Identify(LogOptions, common.ArmOptions):
         common.prepare(self)
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
-        with common.folder(self, "identify") as folder:
+        with results.folder(self, "identify") as folder:
             result = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
             result = (
                 {"sample_time_s": found[0].dt} | result | {"logs": [str(path) for path in self.logs], "robot": self.robot}
             )
-            text = common.write_json(folder / "result.json", result)
+            text = results.write_json(folder / "result.json", result)
         written = ", ".join(sorted(p.name for p in folder.iterdir() if p.name[0] != "."))
         common.say(self, f"\nWritten to {folder}: {written}")
         if self.json:

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jaxftc.io.text_table import aligned
+
 if TYPE_CHECKING:
     from jaxftc.robot.arm_table import Arm
 
@@ -101,16 +103,14 @@ def page(result: dict[str, Any]) -> str:
     lines = [head + (f", from {result['file']}" if result["file"] else ", built in"), ""]
     columns = ("joint", "link", "range", "torque", "speed", "motor", "viscous", "Coulomb", "mass", "centre of mass")
     units = ("", "", "deg", "N m", "rad/s", "kg m^2", "N m s/rad", "N m", "kg", "mm from the joint, its axis is z")
-    rows = [columns, units, *(_row(joint) for joint in result["joints"])]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(columns))]
-    text = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
-    lines += [*text[:2], "-" * max(map(len, text)), *text[2:], ""]
+    rows = [_row(joint) for joint in result["joints"]]
+    lines += [*(line.rstrip() for line in aligned(columns, units, rows, text=len(columns))), ""]
     at = ", ".join(f"{1e3 * x:.4g}" for x in result["tool_m"])
     lines.append(f"tool (a payload hangs there): {result['tool']}, {at} mm from the last joint")
     lines.append(f"gravity: {', '.join(f'{g:g}' for g in result['gravity_ms2'])} m/s^2")
     titles = {
-        "notes": "Welded, left out, placeholders",
-        "cautions": "Doubtful results",
+        "notes": "What was made of the file",
+        "cautions": "What makes results doubtful",
         "doubts": "Looks like a placeholder",
     }
     for key, title in titles.items():

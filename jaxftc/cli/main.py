@@ -83,9 +83,9 @@ def parse(arguments: list[str] | None = None) -> Any:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise ValueError(f"arguments and names of files must be UTF-8, got {os.fsencode(word)!r}; rename it")
     command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
-    from jaxftc.cli import common
+    from jaxftc.cli import common, results
 
-    for name, value in common.given(command):
+    for name, value in results.given(command):
         option = "--" + name.replace("_", "-")
         if value == () and option in (word.replace("_", "-") for word in words):
             raise ValueError(f"{option} was given without an entry; name at least one, or leave it out")

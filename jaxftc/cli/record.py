@@ -6,7 +6,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import digest
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def of(options: common.Options, config: Config, *, more: tuple[str, ...] = ()) -
         "preset": None if preset is None else said(preset),
         "seed": options.seed,
         "gains": gains_file(options.gains),
-        "options": common.request(options),
+        "options": results.request(options),
         "versions": versions(),
     }
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import tyro
 
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class Simulate(common.Options):
         from jaxftc.report.figures import trace_page
 
         run = self._again() if from_campaign else self._paper()
-        with common.folder(self, "simulate") as folder:
+        with results.folder(self, "simulate") as folder:
             config, trace, title, more = run()
             diverged = from_campaign and more["row"]["diverged"]
             result = more if diverged else summary(config, trace, metrics.evaluate(config, trace)) | more
@@ -90,7 +90,7 @@ class Simulate(common.Options):
             if self.campaign is not None:
                 ran |= record.of_campaign(self.campaign)
             trace_file.write(folder / "trace.parquet", trace, config.robot.joint_names)
-            text = common.write_json(folder / "result.json", result | {"provenance": ran})
+            text = results.write_json(folder / "result.json", result | {"provenance": ran})
             write_text(folder / "figures.html", trace_page(config, trace, title, ran))
         common.say(self, f"{title}: the arm diverged" if diverged else table(title, result))
         if from_campaign:

@@ -32,6 +32,6 @@ def speed(weight: Array, qd: Array, acceleration: Array, q_before: Array, q: Arr
 
 
 def surface(gains: ControlGains, q: Array, qd: Array, reference: Reference) -> Surface:
-    """S = lam error + d(error)/dt, Eq. (19)."""
+    """S = lam error + d(error)/dt [n, ...] rad/s, Eq. (19), at q and qd [n, ...]."""
     error, errord = q - reference.q, qd - reference.qd
     return Surface(error, errord, gains.lam * error + errord)

@@ -11,10 +11,19 @@ import numpy as np
 from jaxftc.evaluation import verdicts
 from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.summary import ERRORS, FAULTY, Table
+from jaxftc.io.text_table import aligned
 
 UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
 MOSTLY = 0.5  # share of faults below the thresholds from which it is said
 WINS = ("wins", "loses", "ties")  # by the 95 % interval of the paired figure
+
+RISES = {  # what torque thresholds follow, and the unit of the share by which they rise
+    "follow_speed": "speed, s/rad",
+    "follow_acceleration": "acceleration, s^2/rad",
+    "follow_reversal": "turning round, 1",
+    "follow_torque": "the links' torque, 1/(N m)",
+    "follow_payload": "a payload's torque, 1/(N m)",
+}
 
 
 def against(rows: Mapping[str, Table]) -> list[dict[str, Any]]:
@@ -68,9 +77,11 @@ UNITS = ("", "% of runs", "%", "% of det.", "% of det.", "delay ms", "delay ms",
 
 
 NOTE = (
-    "medians over scenarios, a missed fault being infinitely late; detection of all faults, right of what was detected; "
-    "estimates where their channel is at fault"
+    "Figures are medians over scenarios, where a missed fault is infinitely late. Detection is a share of all faults, right "
+    "verdicts are shares of the detected ones. An estimate counts where its channel is at fault."
 )
+
+BEST = "A star is the best of its column."
 
 
 def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
@@ -106,22 +117,11 @@ def _text(x: float | None, places: int, best: float | None, *, missed: bool) -> 
 
 def as_text(found: dict[str, dict[str, Any]]) -> str:
     """The comparison table as text, one scheme making one row, and the table of verdicts."""
-    star = "; * best of the column" if len(found) > 1 else ""
-    tables = [*_aligned(HEAD, UNITS, cells(found)), NOTE + star, ""]
-    tables += [*_aligned(verdicts.HEAD, verdicts.UNITS, verdicts.cells(found)), verdicts.NOTE]
+    star = f" {BEST}" if len(found) > 1 else ""
+    tables = [*aligned(HEAD, UNITS, cells(found)), NOTE + star, ""]
+    tables += [*aligned(verdicts.HEAD, verdicts.UNITS, verdicts.cells(found)), verdicts.NOTE]
     lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
     return "\n".join([*tables, *lines])
-
-
-def _aligned(head: tuple[str, ...], units: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Lines of a table, the first column to the left and the others to the right."""
-    lines = [head, units, *rows]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    text = [
-        "  ".join(c.rjust(w) if k else c.ljust(w) for k, (c, w) in enumerate(zip(line, widths, strict=True)))
-        for line in lines
-    ]
-    return [*text[:2], "-" * len(text[0]), *text[2:]]
 
 
 def calibrated(result: dict[str, Any]) -> str:
@@ -143,17 +143,10 @@ def thresholds(result: dict[str, Any]) -> list[str]:
     by_channel = result.get("thresholds", {})
     words = {"alpha_tau_nm": "N m of torque", "alpha_q_deg": "deg of the encoder"}
     lines = [f"Thresholds, {words[key]}: {_by_joint(levels)}." for key, levels in by_channel.items() if key in words]
-    rises = {
-        "speed": "s/rad",
-        "acceleration": "s^2/rad",
-        "reversal": "where a joint turns round",
-        "torque": "1/(N m)",
-        "payload": "1/(N m)",
-    }
     lines += [
-        f"They rise with the {word}, {unit}: {_by_joint(by_channel[f'follow_{word}'])}."
-        for word, unit in rises.items()
-        if f"follow_{word}" in by_channel
+        f"The torque thresholds rise with {what}: {_by_joint(by_channel[name])}."
+        for name, what in RISES.items()
+        if name in by_channel
     ]
     lines += [
         f"{100 * share:.0f} % OF THE {kind.upper()} FAULTS ARE SMALLER than their joint's threshold: few of them can raise "
@@ -170,7 +163,10 @@ def _by_joint(levels: dict[str, float]) -> str:
 
 def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
     """Who wins where, from the 95 % intervals of paired figures."""
-    lines = ["", "Paired by scenario, judged by 95 % intervals; in brackets the median of one error over the other:"]
+    lines = [
+        "",
+        "Paired by scenario, judged by 95 % intervals. In brackets: the median of its error over the other's.",
+    ]
     for pair in pairs:
         words = {"delay": pair["delay"]} | {error: pair[error]["word"] for error in ERRORS if error in pair}
         parts = [
@@ -178,7 +174,7 @@ def pairs_as_text(pairs: list[dict[str, Any]]) -> str:
             for word in WINS
             if word in words.values()
         ]
-        early = f"earlier in {pair['earlier']}, later in {pair['later']}, at once with it in {pair['same']}"
+        early = f"earlier in {pair['earlier']}, later in {pair['later']}, in the same tick in {pair['same']}"
         lines.append(
             f"  {pair['kind']} faults, {pair['scheme']} against {pair['other']} ({pair['n']}): {early}; {'; '.join(parts)}"
         )

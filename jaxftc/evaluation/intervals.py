@@ -63,3 +63,14 @@ def tolerated(n: int, p: float, confidence: float) -> int:
     while k + 1 < n and betaincinv(k + 2, n - k - 1, confidence) <= p:  # upper confidence bound of the share after k + 1
         k += 1
     return k
+
+
+def check_shares(false_alarms: float, confidence: float) -> None:
+    """Refuse a share of false alarms, or a confidence in it, that is none.
+
+    Raises:
+        ValueError: one of them lies outside (0, 1).
+    """
+    for name, value, usual in (("false_alarms", false_alarms, 0.01), ("confidence", confidence, 0.95)):
+        if not 0 < value < 1:
+            raise ValueError(f"{name} must lie in (0, 1), got {value!r}; {usual:g} is usual")

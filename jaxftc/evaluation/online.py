@@ -70,7 +70,7 @@ class Score(NamedTuple):
     visible: Array  # [n, ...] int32, what an oracle has seen when ``verdict`` is scored; without an alarm, ever
     visible_late: Array  # [n, ...] int32, the same for ``settled``
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
-    healthy_tau: Array  # [n, ...] N m, largest statistic before onset that lasted for an alarm, less the threshold's rise
+    healthy_tau: Array  # [n, ...] N m, largest statistic that lasted for an alarm before onset, over its threshold's rise
     healthy_q: Array  # [n, ...] rad
     healthy_ratio: Array  # 1, largest of them over its threshold; infinite where the sensor check alarmed first
     lost: Array  # bool, the arm diverged
@@ -124,19 +124,71 @@ def init(config: Config, like: Array) -> State:
 
 def step(config: Config, gains: Gains, true: Truth, state: State, tick: Trace) -> State:
     """One tick: ``tick`` is a ``Trace`` of a moment, [n, ...]."""
+    before = (tick.t < true.onset) | true.healthy
+    excused = (tick.t >= true.onset) & (tick.t <= true.clear + RECOVERY)
+    arm, tau, rough = _arm(config, state, tick)
+    alarms = _alarms(true, state, tick, before, excused)
+    verdicts, risen, right = _verdicts(config, true, state, tick, alarms["alarm_at"], excused)
+    margins, held, ratio, top = _margins(config, gains, true, state, tick, before, excused)
+    return State(
+        score=state.score._replace(**arm, **alarms, **verdicts, **margins),
+        tau=tau,
+        verdict=tick.out.verdict,
+        risen=risen,
+        ratio=ratio,
+        rough=rough,
+        held=held,
+        right=right,
+        top=top,
+    )
+
+
+def _arm(config: Config, state: State, tick: Trace) -> tuple[dict[str, Array], Array, Array]:
+    """How well the arm does: scores by name, torque over its limit [n, ...], states of the high-pass filter."""
     score, out, t = state.score, tick.out, tick.t
-    limit = scale(config, tick.q)
     limited = lanes.trailing_constant(np.isfinite(config.robot.torque_limit), tick.q) > 0
-    tau = out.tau / limit
+    tau = out.tau / scale(config, tick.q)
     change = jnp.where(t > 0, tau - state.tau, 0.0)
     filtered, rough = _high_pass(config, state.rough, tau, t)
     error = tick.q - tick.q_ref
     size = jnp.abs(error).sum(0)
+    found = {
+        "se_tau": score.se_tau + ((out.fault_tau_hat - tick.fault_tau) ** 2).sum(0),
+        "se_q": score.se_q + ((out.fault_q_hat - tick.fault_q) ** 2).sum(0),
+        "ise": score.ise + (error * error).sum(0),
+        "iae": score.iae + size,
+        "itae": score.itae + t * size,
+        "track_max": jnp.maximum(score.track_max, jnp.abs(error).max(0)),
+        "effort": score.effort + (tau * tau).sum(0),
+        "travel": score.travel + jnp.abs(change).sum(0),
+        "rough": score.rough + (rough * rough).sum(0),
+        "saturated": score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited).sum(0),
+        "peak": jnp.maximum(score.peak, jnp.abs(tau).max(0)),
+        "lost": score.lost | ~jnp.isfinite(tick.q).all(0),
+    }
+    return found, tau, filtered
 
-    before, excused = (t < true.onset) | true.healthy, (t >= true.onset) & (t <= true.clear + RECOVERY)
+
+def _alarms(true: Truth, state: State, tick: Trace, before: Array, excused: Array) -> dict[str, Array]:
+    """False alarms, and the times of the others; ``before`` onset [...] bool, ``excused`` [...] bool."""
+    score, out, t = state.score, tick.out, tick.t
     false = out.detected & before
     rises = (out.verdict & ~state.verdict > 0).any(0)
-    alarm_at = jnp.minimum(score.alarm_at, jnp.where(rises & excused, t, jnp.inf))
+    return {
+        "false_ticks": score.false_ticks + false,
+        "false_events": score.false_events + (false & (state.verdict == 0).all(0)),
+        "false_at": _earliest(score.false_at, out.detected & (true.healthy | ~excused), t),
+        "began": _earliest(score.began, t >= true.onset, t),
+        "alarm_at": _earliest(score.alarm_at, rises & excused, t),
+        "quiet_at": _earliest(score.quiet_at, ~out.detected & (t > true.clear), t),
+    }
+
+
+def _verdicts(
+    config: Config, true: Truth, state: State, tick: Trace, alarm_at: Array, excused: Array
+) -> tuple[dict[str, Array], Array, Array]:
+    """What was said, and what could be seen: scores by name, alarms since onset [n, ...], ticks in a row that were right."""
+    score, out, t = state.score, tick.out, tick.t
     right = jnp.where((t >= true.onset) & (out.verdict == true.wanted).all(0), state.right + 1, 0.0)
     enough = round(ISOLATED / config.dt)
     until = alarm_at + SETTLE + 0.5 * config.dt
@@ -146,8 +198,24 @@ def step(config: Config, gains: Gains, true: Truth, state: State, tick: Trace) -
     risen = jnp.where(t >= true.onset, out.verdict & (state.risen | ~state.verdict), 0)
     complete = (risen & true.wanted == true.wanted).all(0) & excused & ~true.healthy
     sight = oracle.step(oracle.Sight(score.visible_at, score.visible, score.visible_late), tick, until, until_late)
+    found = {
+        "isolated_at": _earliest(score.isolated_at, right >= enough, t - (enough - 1) * config.dt),
+        "verdict": jnp.where(scoring, said | out.verdict, score.verdict),
+        "settled": jnp.where(settling, said | out.verdict, score.settled),
+        "complete_at": _earliest(score.complete_at, complete, t),
+        "visible_at": sight.at,
+        "visible": sight.early,
+        "visible_late": sight.late,
+    }
+    return found, risen, right
 
-    at_rest = trailing(gains.diagnosis.alpha_tau, 1, error.ndim - 1)
+
+def _margins(
+    config: Config, gains: Gains, true: Truth, state: State, tick: Trace, before: Array, excused: Array
+) -> tuple[dict[str, Array], Array, Array, Array]:
+    """Statistics against their thresholds: scores by name, and ``held``, ``ratio`` and ``top`` of the state."""
+    score, out, t = state.score, tick.out, tick.t
+    at_rest = trailing(gains.diagnosis.alpha_tau, 1, tick.q.ndim - 1)
     size_tau, size_q = jnp.abs(out.statistic_tau) * (at_rest / out.threshold_tau), jnp.abs(out.statistic_q)
     history = jnp.concatenate([state.held, size_tau[None]])
     lasting = history.min(0)
@@ -156,47 +224,18 @@ def step(config: Config, gains: Gains, true: Truth, state: State, tick: Trace) -
     by_check = (out.suspect > 0).any(0) & (jnp.maximum(top, ratio) < 1)  # after an alarm it may be that alarm's own
     ratio = jnp.where(by_check, jnp.inf, ratio)
     levels = trailing(jnp.asarray(LEVELS, t.dtype), 1, ratio.ndim)
-    return State(
-        score=Score(
-            se_tau=score.se_tau + ((out.fault_tau_hat - tick.fault_tau) ** 2).sum(0),
-            se_q=score.se_q + ((out.fault_q_hat - tick.fault_q) ** 2).sum(0),
-            ise=score.ise + (error * error).sum(0),
-            iae=score.iae + size,
-            itae=score.itae + t * size,
-            track_max=jnp.maximum(score.track_max, jnp.abs(error).max(0)),
-            effort=score.effort + (tau * tau).sum(0),
-            travel=score.travel + jnp.abs(change).sum(0),
-            rough=score.rough + (rough * rough).sum(0),
-            saturated=score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited).sum(0),
-            peak=jnp.maximum(score.peak, jnp.abs(tau).max(0)),
-            false_ticks=score.false_ticks + false,
-            false_events=score.false_events + (false & (state.verdict == 0).all(0)),
-            false_at=jnp.minimum(score.false_at, jnp.where(out.detected & (true.healthy | ~excused), t, jnp.inf)),
-            began=jnp.minimum(score.began, jnp.where(t >= true.onset, t, jnp.inf)),
-            alarm_at=alarm_at,
-            isolated_at=jnp.minimum(score.isolated_at, jnp.where(right >= enough, t - (enough - 1) * config.dt, jnp.inf)),
-            quiet_at=jnp.minimum(score.quiet_at, jnp.where(~out.detected & (t > true.clear), t, jnp.inf)),
-            verdict=jnp.where(scoring, said | out.verdict, score.verdict),
-            settled=jnp.where(settling, said | out.verdict, score.settled),
-            complete_at=jnp.minimum(score.complete_at, jnp.where(complete, t, jnp.inf)),
-            visible_at=sight.at,
-            visible=sight.early,
-            visible_late=sight.late,
-            crossed=jnp.minimum(score.crossed, jnp.where(excused & (ratio >= levels) & (state.ratio < levels), t, jnp.inf)),
-            healthy_tau=jnp.where(before, jnp.maximum(score.healthy_tau, lasting), score.healthy_tau),
-            healthy_q=jnp.where(before, jnp.maximum(score.healthy_q, size_q), score.healthy_q),
-            healthy_ratio=jnp.where(before, jnp.maximum(score.healthy_ratio, ratio), score.healthy_ratio),
-            lost=score.lost | ~jnp.isfinite(tick.q).all(0),
-        ),
-        tau=tau,
-        rough=filtered,
-        held=history[1:],
-        verdict=out.verdict,
-        risen=risen,
-        ratio=ratio,
-        right=right,
-        top=jnp.maximum(top, ratio),
-    )
+    found = {
+        "crossed": _earliest(score.crossed, excused & (ratio >= levels) & (state.ratio < levels), t),
+        "healthy_tau": jnp.where(before, jnp.maximum(score.healthy_tau, lasting), score.healthy_tau),
+        "healthy_q": jnp.where(before, jnp.maximum(score.healthy_q, size_q), score.healthy_q),
+        "healthy_ratio": jnp.where(before, jnp.maximum(score.healthy_ratio, ratio), score.healthy_ratio),
+    }
+    return found, history[1:], ratio, jnp.maximum(top, ratio)
+
+
+def _earliest(so_far: Array, there: Array, t: Array) -> Array:
+    """The first time [...] s at which something was there."""
+    return jnp.minimum(so_far, jnp.where(there, t, jnp.inf))
 
 
 def scale(config: Config, like: Array) -> Array:

@@ -38,49 +38,61 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
     A delay is infinite where the fault was missed and not a number where there was none to find. A run that diverged
     has infinite errors.
     """
-    tau, q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
-    has_tau, ill = tau.faulty.any(0), tau.faulty | q.faulty
-    wanted, healthy = Verdict.ACTUATOR * tau.faulty | Verdict.SENSOR * q.faulty, ~ill.any(0)
+    drawn = _Drawn(config, scenarios)
+    crossings = {name: _since(config, drawn, score, at) for name, at in zip(CROSSINGS, score.crossed, strict=True)}
+    return drawn.columns() | _diagnosis(config, drawn, score) | _motion(config, score) | crossings
+
+
+class _Drawn:
+    """The faults of each scenario, as drawn."""
+
+    def __init__(self, config: Config, scenarios: Scenario) -> None:
+        self.id = np.asarray(scenarios.id, np.int64)
+        self.tau, self.q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
+        # [n, scenarios], the verdict that is right
+        self.wanted = Verdict.ACTUATOR * self.tau.faulty | Verdict.SENSOR * self.q.faulty
+        self.healthy = ~(self.wanted > 0).any(0)  # [scenarios]
+        self.clear = np.maximum(self.tau.last, self.q.last)  # [scenarios] s, last clearance
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Faults by name, joint, size and time."""
+        tau, q, healthy = self.tau, self.q, self.healthy
+        kind, has_tau = _either(self.wanted), tau.faulty.any(0)
+        return {
+            "scenario_id": self.id,
+            "kind": np.asarray(LABELS)[kind],
+            "fault": FAULTS[kind, tau.code, q.code],
+            "fault_tau": tau.name,
+            "fault_q": q.name,
+            "law": np.where(healthy, "", np.where(has_tau, tau.law, q.law)),
+            "joint_tau": tau.joint,
+            "joint_q": q.joint,
+            "magnitude_tau": tau.magnitude,
+            "magnitude_q": q.magnitude,
+            "magnitude": np.where(has_tau, tau.magnitude, q.magnitude),
+            "unit": np.where(has_tau, tau.unit, q.unit),
+            "onset_s": np.where(healthy, np.nan, np.minimum(tau.onset, q.onset)),
+            "clear_s": np.where(healthy, np.nan, self.clear),
+        }
+
+
+def _diagnosis(config: Config, drawn: _Drawn, score: Score) -> dict[str, np.ndarray]:
+    """What was said of it, and when."""
+    dt, healthy, wanted = config.dt, drawn.healthy, drawn.wanted
     verdict, settled = np.asarray(score.verdict), np.asarray(score.settled)
-    kind, kind_hat = _either(wanted), _either(verdict)
-    clear = np.maximum(tau.last, q.last)
-    ticks, dt, n, lost = config.ticks, config.dt, config.n, np.asarray(score.lost)
 
     def since(at: Any) -> np.ndarray:
-        """From the first tick of the fault, s."""
-        with np.errstate(invalid="ignore"):
-            found = np.where(np.isfinite(at), np.rint((_double(at) - score.began) / dt) * dt, np.inf)
-        return np.where(healthy, np.nan, found)
-
-    def error(value: np.ndarray) -> np.ndarray:
-        return np.where(lost | ~np.isfinite(value), np.inf, value)
-
-    def rms(total: Any) -> np.ndarray:
-        return error(np.sqrt(_double(total) / (ticks * n)))
+        return _since(config, drawn, score, at)
 
     detected = np.isfinite(score.alarm_at) & ~healthy
-    goes = detected & (clear < (ticks - 1) * dt)
-    recovery = np.maximum(_double(score.quiet_at) - np.where(goes, clear, 0.0) - dt, 0.0)
+    goes = detected & (drawn.clear < (config.ticks - 1) * dt)
+    recovery = np.maximum(_double(score.quiet_at) - np.where(goes, drawn.clear, 0.0) - dt, 0.0)
     return {
-        "scenario_id": np.asarray(scenarios.id, np.int64),
-        "kind": np.asarray(LABELS)[kind],
-        "fault": FAULTS[kind, tau.code, q.code],
-        "fault_tau": tau.name,
-        "fault_q": q.name,
-        "law": np.where(healthy, "", np.where(has_tau, tau.law, q.law)),
-        "joint_tau": tau.joint,
-        "joint_q": q.joint,
-        "magnitude_tau": tau.magnitude,
-        "magnitude_q": q.magnitude,
-        "magnitude": np.where(has_tau, tau.magnitude, q.magnitude),
-        "unit": np.where(has_tau, tau.unit, q.unit),
-        "onset_s": np.where(healthy, np.nan, np.minimum(tau.onset, q.onset)),
-        "clear_s": np.where(healthy, np.nan, clear),
         "detected": detected,
         "delay_s": since(score.alarm_at),
         "isolated_s": since(score.isolated_at),
         "recovery_s": np.where(goes, recovery, np.nan),
-        "kind_hat": np.asarray(LABELS)[kind_hat],
+        "kind_hat": np.asarray(LABELS)[_either(verdict)],
         "joint_hat": _first(verdict > 0),
         "joint_tau_hat": _first(verdict & Verdict.ACTUATOR > 0),
         "joint_q_hat": _first(verdict & Verdict.SENSOR > 0),
@@ -95,7 +107,21 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
         "false_ticks": np.asarray(score.false_ticks, np.int64),
         "false_events": np.asarray(score.false_events, np.int64),
         "false_alarm_s": np.where(np.isfinite(score.false_at), np.rint(_double(score.false_at) / dt) * dt, np.nan),
-        "healthy_ratio": error(_double(score.healthy_ratio)),
+        "healthy_ratio": _error(score, _double(score.healthy_ratio)),
+    }
+
+
+def _motion(config: Config, score: Score) -> dict[str, np.ndarray]:
+    """How well the arm did."""
+    ticks, dt, n = config.ticks, config.dt, config.n
+
+    def error(value: np.ndarray) -> np.ndarray:
+        return _error(score, value)
+
+    def rms(total: Any) -> np.ndarray:
+        return error(np.sqrt(_double(total) / (ticks * n)))
+
+    return {
         "fault_tau_rmse_nm": rms(score.se_tau),
         "fault_q_rmse_deg": np.rad2deg(rms(score.se_q)),
         "tracking_rmse_deg": np.rad2deg(rms(score.ise)),
@@ -108,8 +134,20 @@ def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.n
         "saturated_share": _double(score.saturated) / (ticks * n),
         "chattering": error(_double(score.travel) / (n * ticks * dt)),
         "rough": rms(score.rough),
-        "diverged": lost,
-    } | {name: since(score.crossed[k]) for k, name in enumerate(CROSSINGS)}
+        "diverged": np.asarray(score.lost),
+    }
+
+
+def _since(config: Config, drawn: _Drawn, score: Score, at: Any) -> np.ndarray:
+    """From the first tick of the fault, s."""
+    with np.errstate(invalid="ignore"):
+        found = np.where(np.isfinite(at), np.rint((_double(at) - score.began) / config.dt) * config.dt, np.inf)
+    return np.where(drawn.healthy, np.nan, found)
+
+
+def _error(score: Score, value: np.ndarray) -> np.ndarray:
+    """Values [scenarios], infinite where the run diverged."""
+    return np.where(np.asarray(score.lost) | ~np.isfinite(value), np.inf, value)
 
 
 def _double(x: Any) -> np.ndarray:
@@ -128,7 +166,7 @@ def _right(name: str, verdict: np.ndarray, wanted: np.ndarray) -> dict[str, np.n
 
 
 def _first(where: np.ndarray) -> np.ndarray:
-    """Number of the first joint, from 1; 0 if there is none."""
+    """Number of the first joint [scenarios] that is there [n, scenarios], from 1; 0 if there is none."""
     return np.where(where.any(0), where.argmax(0) + 1, 0)
 
 
@@ -137,7 +175,7 @@ class _Channel:
 
     def __init__(self, config: Config, fault: Fault, kinds: type[Kind]) -> None:
         onset = np.asarray(fault.onset)
-        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in score.truth
+        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in online.truth
         kind = np.where(begins, np.asarray(fault.kind), 0).T
         self.faulty = kind > 0  # [n, scenarios]
         at = self.faulty.argmax(0)[None]

@@ -9,12 +9,13 @@ from jaxftc.evaluation.online import SETTLED
 from jaxftc.evaluation.summary import FAULTY
 
 SOON, LATE = f"{1e3 * SETTLE:.0f} ms", f"{1e3 * SETTLED:.0f} ms"
-HEAD = ("verdict", "detected", "kind", "joint", "both", "kind", "joint", "both", *FAULTY, "two faults")
-UNITS = ("", "%", *(f"% at {SOON}",) * 3, *(f"% at {LATE}",) * 3, *("delay ms",) * 3, "both told, ms")
+HEAD = ("scheme", "detected", "kind", "joint", "exact", "kind", "joint", "exact", *FAULTY, "two faults")
+UNITS = ("", "%", *(f"% at {SOON}",) * 3, *(f"% at {LATE}",) * 3, *("delay ms",) * 3, "both named, ms")
 SHARES = ("detection", *(f"isolation{part}{when}" for when in ("", "_settled") for part in ("_kind", "_joint", "")))
 NOTE = (
-    f"right of what was detected, {SOON} and {LATE} after the alarm, the latter at clearance if that is sooner; an oracle "
-    "knows every fault that has been as large as its threshold (jaxftc/evaluation/oracle.py)"
+    f"Shares of the detected faults whose kind, joints, or exact verdict of every joint was right {SOON} and {LATE} after "
+    "the alarm, or at clearance if that is sooner. An oracle knows every fault that has been as large as its threshold "
+    "(jaxftc/evaluation/oracle.py)."
 )
 
 
@@ -28,12 +29,13 @@ def cells(found: dict[str, dict[str, Any]]) -> list[tuple[str, ...]]:
 
 
 def _row(name: str, result: dict[str, Any], kind: str, time: str) -> tuple[str, ...]:
-    shares = [_show(result[f"{share}{kind}"], 100, 2) for share in SHARES]
+    shares = [show(result[f"{share}{kind}"], 100, 2) for share in SHARES]
     drawn, times = result["n_by_kind"], result[f"{time}_median_s"]
-    delays = [_show(times[fault], 1e3, 0, "missed" if drawn[fault] else "-") for fault in FAULTY]
-    told = _show(result["complete_median_s"]["both"], 1e3, 0, "never" if drawn["both"] else "-") if not kind else "-"
-    return (name, *shares, *delays, told)
+    delays = [show(times[fault], 1e3, 0, "missed" if drawn[fault] else "-") for fault in FAULTY]
+    named = show(result["complete_median_s"]["both"], 1e3, 0, "never" if drawn["both"] else "-") if not kind else "-"
+    return (name, *shares, *delays, named)
 
 
-def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
+def show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
+    """A figure as text."""
     return absent if x is None else f"{factor * x:.{places}f}"

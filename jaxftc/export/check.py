@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.export.artifact import Artifact, Leaves
 from jaxftc.export.tick import DTYPES, Tick, precision
 from jaxftc.scenarios import reference

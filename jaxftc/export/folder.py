@@ -16,7 +16,7 @@ from jaxftc.export.stablehlo import FILES, METADATA, programs
 from jaxftc.export.tick import Real, Tick, decimals, tick
 from jaxftc.gains import Gains
 from jaxftc.gains_file import save_gains
-from jaxftc.io.files import aside, digest, write_text
+from jaxftc.io.files import atomic_path, digest, write_text
 
 GAINS, EXAMPLE = "gains.toml", "example.c"
 
@@ -48,7 +48,7 @@ def write(config: Config, gains: Gains, out: str | Path, *, real: Real = "double
     for name, text in texts.items():
         write_text(folder / name, text)
     for name, data in programs(made).items():
-        with aside(folder / name) as temporary:
+        with atomic_path(folder / name) as temporary:
             temporary.write_bytes(data)
     names = [GAINS, *texts, *FILES]
     metadata = made.metadata | {"signals": _signals(made), "files": {name: digest(folder / name) for name in names}}

@@ -43,11 +43,12 @@ class FaultWrapper(gymnasium.Wrapper):
         dt: float | None = None,
     ) -> None:
         super().__init__(env)
-        boxes = {"actions": env.action_space, "observations": env.observation_space}
-        for name, space in boxes.items():
+        sizes: dict[str, int] = {}
+        for name, space in (("actions", env.action_space), ("observations", env.observation_space)):
             if not (isinstance(space, gymnasium.spaces.Box) and len(space.shape) == 1):
                 raise ValueError(f"{name} must be in a box of one axis, got {space}")
-        size = boxes["observations"].shape[0]
+            sizes[name] = space.shape[0]
+        size = sizes["observations"]
         self._sensors = np.arange(size) if sensors is None else np.asarray(sensors, int)
         if self._sensors.ndim != 1 or not ((self._sensors >= 0) & (self._sensors < size)).all():
             raise ValueError(f"sensors must be entries of the observation, 0 to {size - 1}, got {sensors}")

@@ -124,6 +124,7 @@ def read(
 
 
 def _time(t: ArrayLike) -> Array:
+    """Time [...] s with an axis for the joints."""
     return jnp.asarray(t)[..., None]
 
 

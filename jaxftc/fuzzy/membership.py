@@ -34,5 +34,6 @@ def share(x: Array, centres: Array, widths: Array) -> Array:
 
 
 def _exponents(x: Array, centres: Array, widths: Array) -> list[Array]:
+    """Logarithm [...] of each set's grade of x [...], held within the outermost centres; a list over sets."""
     x, scales = jnp.clip(x, centres[0], centres[-1]), unstack(math.sqrt(0.5) / widths)
     return [-(((x - centre) * scale) ** 2) for centre, scale in zip(unstack(centres), scales, strict=True)]

@@ -44,6 +44,7 @@ def margin(theta: np.ndarray, length: float) -> float:
 
 
 def _scaled(theta: np.ndarray, length: float) -> np.ndarray:
+    """J [4, 4] of theta [10] in kg and ``length`` m."""
     scale = np.array([1 / length] * 3 + [1.0])
     return pseudo_inertia(theta) * np.outer(scale, scale)
 

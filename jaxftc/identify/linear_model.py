@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.gains import ArxGains, Gains
 from jaxftc.gains import check as check_gains
@@ -54,6 +54,7 @@ def regressors(config: Config, gains: ArxGains, q: np.ndarray | Array, u: np.nda
 
 
 def _scan(config: Config, gains: ArxGains, q: Array, u: Array) -> Array:
+    """Phi [T, n, features] for angles q [T, n] rad and inputs u [T, n]."""
     gain_a, gain_b = laguerre.steady_gain(gains.xi_a), laguerre.steady_gain(gains.xi_b)
     zero = jnp.zeros_like(q[0])
     hold = (
@@ -79,7 +80,7 @@ def in_float64(gains: ArxGains) -> ArxGains:
 
 
 def data(config: Config, gains: Gains, log: Log, *, moving: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Phi [T, n, features] and q [T, n] of a log, both doors passed.
+    """Phi [T, n, features] and q [T, n] of a log, once the log and the gains are checked.
 
     Raises:
         ValueError: the log or a gain is refused, or the gains have scenario axes.

@@ -10,11 +10,13 @@ hinge's frame, as ``robot.Link`` has them. The recursions are linear in theta, s
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.robot import dynamics, lanes, rigid_body
 from jaxftc.robot.link import Link
 from jaxftc.robot.model import Robot
@@ -51,45 +53,46 @@ def link_torque(robot: Robot, theta: Array, q: Array, qd: Array, qdd: Array) -> 
 
 
 def _jacobian(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
+    """Y [n, T, n, 10] of a motion [n, T]."""
     zero = jnp.zeros((robot.n, 10), q.dtype)
     return jax.jacfwd(lambda theta: link_torque(robot, theta, q, qd, qdd))(zero)
 
 
+def _inverse(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
+    """Torque [n, T] N m of a model for a motion [n, T]."""
+    at = rigid_body.pose(robot, q)
+    return dynamics.nominal_torque(robot, at, qd, qdd) + dynamics.coulomb(robot, qd)
+
+
 _jacobian = jit(_jacobian, static_argnums=0)
+_inverse = jit(_inverse, static_argnums=0)
 
 
 def regressor(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
     """Y [T, n, 10 n] of a motion [T, n] in float64, theta of all links one after the other."""
+    return _by_chunks(_jacobian, robot, q, qd, qdd, 10 * robot.n)
+
+
+def inverse(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+    """Torque [T, n] N m of a model for a motion [T, n] in float64, friction and motor inertia included."""
+    return _by_chunks(_inverse, robot, q, qd, qdd, 1)[..., 0]
+
+
+def _by_chunks(program: Any, robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, columns: int) -> np.ndarray:
+    """Results [T, n, columns] of a program of motions [n, T], in float64 and by chunks of rows.
+
+    One program serves all chunks: the last is filled up with its last row.
+    """
     rows, n = q.shape
-    out = np.empty((rows, n, 10 * n))
+    out = np.empty((rows, n, columns))
     with jax.enable_x64(True):
-        for start in range(0, rows, CHUNK):  # one program: the last chunk is filled up with its last row
+        for start in range(0, rows, CHUNK):
             took = np.minimum(np.arange(start, start + min(CHUNK, _round_up(rows))), rows - 1)
-            part = _jacobian(robot, *(jnp.asarray(x[took].T, float) for x in (q, qd, qdd)))
+            part = np.asarray(program(robot, *(jnp.asarray(x[took].T, float) for x in (q, qd, qdd))))
             size = min(len(took), rows - start)
-            out[start : start + size] = np.moveaxis(np.asarray(part).reshape(n, len(took), -1), 1, 0)[:size]
+            out[start : start + size] = np.moveaxis(part.reshape(n, len(took), columns), 1, 0)[:size]
     return out
 
 
 def _round_up(rows: int) -> int:
     return CHUNK if rows >= CHUNK else 1 << (rows - 1).bit_length()
-
-
-def _inverse(robot: Robot, q: Array, qd: Array, qdd: Array) -> Array:
-    at = rigid_body.pose(robot, q)
-    return dynamics.nominal_torque(robot, at, qd, qdd) + dynamics.coulomb(robot, qd)
-
-
-_inverse = jit(_inverse, static_argnums=0)
-
-
-def inverse(robot: Robot, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
-    """Torque [T, n] N m of a model for a motion [T, n] in float64, friction and motor inertia included."""
-    out = np.empty_like(q)
-    with jax.enable_x64(True):
-        for start in range(0, len(q), CHUNK):
-            took = np.minimum(np.arange(start, start + min(CHUNK, _round_up(len(q)))), len(q) - 1)
-            part = _inverse(robot, *(jnp.asarray(x[took].T, float) for x in (q, qd, qdd)))
-            size = min(len(took), len(q) - start)
-            out[start : start + size] = np.asarray(part).T[:size]
-    return out

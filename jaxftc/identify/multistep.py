@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.identify.linear_model import data, flatten, span
@@ -167,6 +167,7 @@ def _descend(order_a: int, problem: _Problem, origin: Array, basis: Array, steps
 
 
 def _problem(gains: Gains, phi: np.ndarray, q: np.ndarray, horizon: int) -> _Problem:
+    """What is fitted: features phi [T, n, features] and q [T, n] rad, restarted every ``horizon`` ticks."""
     restart = np.arange(len(q)) % horizon == 0
     return _Problem(jnp.asarray(np.asarray(gains.arx.xi_a, float)), jnp.asarray(phi), jnp.asarray(q), jnp.asarray(restart))
 
@@ -186,6 +187,7 @@ def _simulate(order_a: int, problem: _Problem, kappa: Array) -> Array:
 
 
 def _sum_of_squares(order_a: int, problem: _Problem, kappa: Array) -> Array:
+    """Sum over time of squared errors [n] rad^2, from a read-out kappa [n, features]."""
     return (_simulate(order_a, problem, kappa) ** 2).sum(0)
 
 

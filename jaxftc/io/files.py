@@ -18,7 +18,7 @@ _unfinished: set[Path] = set()
 
 
 @contextlib.contextmanager
-def aside(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """A new file beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error.
 
     Its name is nobody else's, and what was there under that name, a link for one, would be refused and not followed. What
@@ -54,13 +54,13 @@ def sweep(folder: Path) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file whole or not at all."""
-    with aside(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_sealed(path: Path, data: bytes) -> None:
     """Write bytes and their checksum behind them, whole or not at all."""
-    with aside(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_bytes(data + hashlib.sha256(data).digest())
 
 

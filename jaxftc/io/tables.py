@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxftc.io.files import aside
+from jaxftc.io.files import atomic_path
 
 if TYPE_CHECKING:
     import duckdb
@@ -73,7 +73,7 @@ def write_parquet(path: Path, columns: dict[str, Any]) -> None:
         other = seen.setdefault(name.lower(), name)
         if other != name:
             raise ValueError(f"columns {other!r} and {name!r} of {path.name} have one name but for their case; rename one")
-    with aside(path) as temporary, connect() as connection:
+    with atomic_path(path) as temporary, connect() as connection:
         connection.register("columns", columns)
         try:
             to = {"path": os.path.abspath(temporary)}

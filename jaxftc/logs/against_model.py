@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import optimize
 
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.robot import lanes, rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.types import Array

@@ -11,12 +11,12 @@ from jaxftc.types import Array
 
 
 def sign(x: Array, width: Array, *, hard: bool = False) -> Array:
-    """sgn(x) as tanh(x / width); the hard form is the printed one."""
+    """sgn(x) as tanh(x / width), any shape; the hard form is the printed one."""
     return jnp.sign(x) if hard else jnp.tanh(x / width)
 
 
 def magnitude_root(x: Array) -> Array:
-    """|x|^(1/2) with gradient 0 at x = 0, where the true one is infinite."""
+    """|x|^(1/2), any shape, with gradient 0 at x = 0, where the true one is infinite."""
     nonzero = x != 0
     return jnp.where(nonzero, jnp.sqrt(jnp.abs(jnp.where(nonzero, x, 1.0))), 0.0)
 

@@ -180,6 +180,7 @@ def _within_count(reading: Reading, predicted: Array) -> Array:
 
 
 def _availability(config: Config, state: State, reading: Reading, frozen: Array, e: Array) -> _Availability:
+    """What becomes of a reading whose innovation is e [n, ...] rad; ``frozen`` [n, ...] bool."""
     absent = ~jnp.isfinite(reading.q)
     wild = jnp.abs(reading.q - state.reading) > _step(config)
     doubted = ((reading.sensors.noisy > 0) & (jnp.abs(e) > _step(config))) | ((reading.sensors.suspect > 0) & wild)

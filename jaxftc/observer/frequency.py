@@ -100,7 +100,7 @@ def _margins(frequency: np.ndarray, loop: np.ndarray) -> tuple[float, float, flo
 
 
 def _crossings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Y where x changes its sign, by straight lines between the points."""
+    """Y [crossings] where x changes its sign, of x and y [points], by straight lines between the points."""
     at = np.flatnonzero(x[:-1] * x[1:] < 0)
     share = x[at] / (x[at] - x[at + 1])
     return y[at] + share * (y[at + 1] - y[at])

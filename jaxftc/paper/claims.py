@@ -112,9 +112,9 @@ def _detected(config: Config, condition: str, trace: dict[str, np.ndarray]) -> C
     return Claim(
         f"detect_{condition}",
         FIGURES[condition],
-        "actuator and encoder fault at once: told on all joints"
+        "actuator and encoder fault at once: isolated on all joints"
         if condition == "both"
-        else f"{condition} fault detected and told on all joints",
+        else f"{condition} fault detected and isolated on all joints",
         float(right),
         f"joints of {config.n}",
         right == config.n and found.false_alarm_s is None,

@@ -74,7 +74,7 @@ def _box(box: Box) -> str:
     return (
         f"<rect {place} fill='{fill}' stroke='#0072B2' stroke-width='1.5'/>"
         f"<text x='{middle}' y='{box.y + 26}' text-anchor='middle'>{number}{html.escape(box.name)}</text>"
-        f"<text x='{middle}' y='{box.y + 46}' text-anchor='middle' font-size='12' font-family='monospace' fill='#444'>"
+        f"<text x='{middle}' y='{box.y + 46}' text-anchor='middle' font-size='11' font-family='monospace' fill='#444'>"
         f"{box.module}</text>"
     )
 

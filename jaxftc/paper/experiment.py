@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import identify, stages
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import CONTROLS, OBSERVERS, Config
 from jaxftc.evaluation import metrics
 from jaxftc.gains import Gains

@@ -97,7 +97,7 @@ def _value(claim: Claim) -> str:
 
 def comparison(rows: list[Row]) -> tuple[tuple[str, ...], tuple[str, ...], list[tuple[str, ...]]]:
     """Head, units and cells of the comparison table, for page and terminal alike."""
-    head = ("condition", "observer", "controller", "torque est.", "angle est.", "delay", "told apart", "false alarm")
+    head = ("condition", "observer", "controller", "torque est.", "angle est.", "delay", "isolated", "false alarm")
     head += ("tracking", "chattering")
     units = ("", "", "", "rms N m", "rms deg", "ms", "", "at s", "rms deg", "1/s")
     cells = [
@@ -121,7 +121,7 @@ def comparison(rows: list[Row]) -> tuple[tuple[str, ...], tuple[str, ...], list[
 def _comparison(rows: list[Row]) -> str:
     head, units, cells = comparison(rows)
     note = (
-        "Rms over joints and the run. Delay: from onset to the first alarm. Told apart: every joint's verdict is right 60 "
+        "Rms over joints and the run. Delay: from onset to the first alarm. Isolated: every joint's verdict is right 60 "
         "ms after it. Chattering: travel of the torque over its limit, per second."
     )
     return f"<p>{note}</p>" + table(head, cells, units=units, text=3)

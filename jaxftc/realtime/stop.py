@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.compile.xla import ahead
+from jaxftc.compile.jit import ahead
 from jaxftc.config import Config
 from jaxftc.numerics import smooth
 from jaxftc.robot import dynamics, lanes, rigid_body

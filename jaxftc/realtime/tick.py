@@ -16,7 +16,7 @@ from jax.flatten_util import ravel_pytree
 
 from jaxftc import checks
 from jaxftc.compile import native
-from jaxftc.compile.xla import ahead
+from jaxftc.compile.jit import ahead
 from jaxftc.config import Config
 from jaxftc.gains import Gains, check
 from jaxftc.schemes import registry

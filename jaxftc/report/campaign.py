@@ -16,6 +16,7 @@ from jaxftc.config import Config
 from jaxftc.evaluation import comparison as versus
 from jaxftc.evaluation import metrics, verdicts
 from jaxftc.evaluation.summary import FAULTY, Table, by_kind
+from jaxftc.evaluation.verdicts import show
 from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.simulation.closed_loop import Trace
@@ -27,11 +28,11 @@ def campaign(
 ) -> str:
     """One scheme's page; ``result`` is its summary, with what ran."""
     sections = [
-        table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS),
+        table(versus.HEAD, versus.cells({result["scheme"]: result}), units=versus.UNITS) + f"<p>{versus.NOTE}</p>",
         _verdicts({result["scheme"]: result}),
         f"<p>{versus.calibrated(result)} n = {result['n']}; {result['diverged']} runs diverged.</p>",
         *(f"<p>{html.escape(line)}</p>" for line in versus.thresholds(result)),
-        "<h2>What was true, what was said</h2>",
+        "<h2>Confusion of kinds</h2>",
         embed(confusion(result)),
         "<h2>By kind of fault</h2>",
         _kinds(result),
@@ -56,7 +57,7 @@ def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]], ra
     """All schemes of a comparison on one page, and what ran."""
     text = versus.pairs_as_text(pairs)
     sections = [
-        table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE}; * best of the column.</p>",
+        table(versus.HEAD, versus.cells(found), units=versus.UNITS) + f"<p>{versus.NOTE} {versus.BEST}</p>",
         _verdicts(found),
         *(
             f"<p>{html.escape(name)}: {html.escape(line)}</p>"
@@ -66,7 +67,7 @@ def comparison(found: dict[str, dict[str, Any]], pairs: list[dict[str, Any]], ra
         "<h2>Thresholds: false alarms against detection and delay</h2>",
         embed(trade_off(found)),
         f"<h2>Paired by scenario</h2><pre>{html.escape(text.strip())}</pre>",
-        "<h2>What was true, what was said</h2>",
+        "<h2>Confusion of kinds</h2>",
         *(f"<h3>{html.escape(name)}</h3>" + embed(confusion(result)) for name, result in found.items()),
         "<h2>By kind of fault</h2>",
         *(f"<h3>{html.escape(name)}</h3>" + _kinds(result) for name, result in found.items()),
@@ -80,15 +81,25 @@ def confusion(result: dict[str, Any]) -> go.Figure:
     shares = counts / np.maximum(counts.sum(1, keepdims=True), 1)
     text = [[f"{c}<br>{100 * s:.1f} %" for c, s in zip(*pair, strict=True)] for pair in zip(counts, shares, strict=True)]
     for row, gone in zip(text, result["alarm_gone"], strict=True):
-        row[0] += f"<br>{gone} had an alarm" if gone else ""
+        row[0] += f"<br>{gone} ended" if gone else ""
     figure = go.Figure(
-        go.Heatmap(z=shares, x=LABELS, y=LABELS, text=text, texttemplate="%{text}", colorscale="Blues", zmin=0, zmax=1)
+        go.Heatmap(
+            z=shares,
+            x=LABELS,
+            y=LABELS,
+            text=text,
+            texttemplate="%{text}",
+            colorscale="Blues",
+            zmin=0,
+            zmax=1,
+            showscale=False,
+        )
     )
     figure.update_yaxes(autorange="reversed", title_text="true kind")
     title = f"Verdict {1e3 * metrics.SETTLE:.0f} ms after the alarm"
-    note = "Counts, and shares of the row. Said to be normal: no alarm, or one that was over by then; those are counted too."
+    note = "Counts, and shares of the row. Normal: no alarm, or one that had ended by then, which is counted too."
     figure = finish(figure, title, note)
-    return figure.update_xaxes(title_text="said")
+    return figure.update_xaxes(title_text="verdict")
 
 
 def delays(rows: Table) -> go.Figure:
@@ -163,30 +174,34 @@ def _ringed(scales: list[float]) -> dict[str, Any]:
 
 
 def _verdicts(found: dict[str, dict[str, Any]]) -> str:
-    return table(verdicts.HEAD, verdicts.cells(found), units=verdicts.UNITS) + f"<p>{verdicts.NOTE}.</p>"
+    return table(verdicts.HEAD, verdicts.cells(found), units=verdicts.UNITS) + f"<p>{verdicts.NOTE}</p>"
 
 
 def _kinds(result: dict[str, Any]) -> str:
-    head = ("fault", "n", "detected", "kind right", "joint right", "kind settled", "joint settled", "delay", "its 95 %",
-            "all told", "isolated", "torque est.", "angle est.", "tracking")  # fmt: skip
-    units = ("", "", "% (oracle)", *("% of det. (oracle)",) * 4, "median ms", "ms", "median ms", "median ms", "rms N m",
-             "rms deg", "rms deg")  # fmt: skip
-    lines = []
-    for name, part in result["by_kind"].items():
-        bounds = " to ".join(_show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
-        shares = (f"{_show(part[k], 100, 1)} ({_show(part[f'{k}_ceiling'], 100, 1)})" for k in SHARES)
-        errors = (_show(part[k], 1, 3) for k in ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg"))
-        times = ("delay", "complete", "isolated")
-        delay, told, isolated = (_show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in times)
-        lines.append((name, str(part["n_faults"]), *shares, delay, bounds, told, isolated, *errors))
-    return table(head, lines, units=units)
+    """Two tables by kind of fault: verdicts beside the oracle's, then times and errors."""
+    kinds = result["by_kind"].items()
+    head = ("fault", "n", "detected", "kind right", "joint right", "kind settled", "joint settled")
+    units = ("", "", *("% (oracle)",) * 5)
+    rows = [
+        (name, str(part["n_faults"]), *(f"{show(part[k], 100, 1)} ({show(part[f'{k}_ceiling'], 100, 1)})" for k in SHARES))
+        for name, part in kinds
+    ]
+    note = "Detected is a share of all faults, the others are shares of the detected ones. Times and errors are medians."
+    verdict = table(head, rows, units=units) + f"<p class='note'>{note}</p>"
+    head = ("fault", "delay", "its 95 %", "all named", "isolated", "torque est.", "angle est.", "tracking")
+    units = ("", *("ms",) * 4, "rms N m", "rms deg", "rms deg")
+    rows = [(name, *_times(part), *(show(part[k], 1, 3) for k in ERRORS)) for name, part in kinds]
+    return verdict + table(head, rows, units=units)
 
 
+def _times(part: dict[str, Any]) -> tuple[str, ...]:
+    bounds = " to ".join(show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
+    delay, named, isolated = (show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in ("delay", "complete", "isolated"))
+    return delay, bounds, named, isolated
+
+
+ERRORS = ("fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg")
 SHARES = ("detection", "isolation_kind", "isolation_joint", "isolation_kind_settled", "isolation_joint_settled")
-
-
-def _show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
-    return absent if x is None else f"{factor * x:.{places}f}"
 
 
 def _shown(row: dict[str, Any]) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxftc.report.figures import COLOURS, Panel, finish, together
-from jaxftc.report.page import embed, page, table
+from jaxftc.report.page import embed, notes, page, table
 
 POINTS = 2000  # blocks that a curve is kept in, at most
 
@@ -44,7 +44,7 @@ class Envelope:
 
 
 def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelope], levels: dict[str, np.ndarray],
-                   joints: tuple[str, ...], notes: tuple[str, ...]) -> str:  # fmt: skip
+                   joints: tuple[str, ...], remarks: tuple[str, ...]) -> str:  # fmt: skip
     """Timeline over the residuals; ``curves`` and ``levels`` by channel: tau in N m, q in rad."""
     tau, q = curves["tau"].curve, np.rad2deg(curves["q"].curve)
     duration = max(record["duration_s"], record["sample_time_s"])
@@ -67,7 +67,6 @@ def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelop
         if rows
         else "<p>No event.</p>"
     )
-    share = f"<p class='note'>{duration:.4g} s, alarm in {100 * record['alarm_share']:.3g} % of the ticks, "
-    share += f"{record['glitches']} glitches (shorter than an event).</p>"
-    told = "".join(f"<p class='note'>{note}</p>" for note in notes)
-    return page(title, ["<h2>Events</h2>", share, said, told, embed(figure)], joints)
+    share = f"{duration:.4g} s, alarm in {100 * record['alarm_share']:.3g} % of the ticks, "
+    share += f"{record['glitches']} glitches (shorter than an event)."
+    return page(title, ["<h2>Events</h2>", notes([share]), said, notes(remarks), embed(figure)], joints)

@@ -9,11 +9,15 @@ from jaxftc.identify.derivatives import motion
 from jaxftc.identify.physical import Identified, Share, torques
 from jaxftc.logs.log import Log
 from jaxftc.report.figures import COLOURS, MOST, Panel, by_joint, finish
-from jaxftc.report.page import embed, page, table
+from jaxftc.report.page import embed, notes, page, table
 from jaxftc.robot.dynamics import coulomb
 from jaxftc.robot.model import Robot
 
 SPEEDS = 101  # points of a friction curve
+STATUS = (
+    "Shown: by how much these logs reduce the prior variance of a parameter. Left: they do not show it, so it keeps the "
+    "file's value. Combined: only a sum of it and others is certain."
+)
 FIRST = "The first joint, until another is chosen above."
 
 
@@ -26,11 +30,11 @@ def identify_page(before: Robot, found: Identified, log: Log, title: str) -> str
     sections = [
         "<h2>Torque left over, on parts that were not fitted</h2>",
         share_table(found.held_out, names),
-        "".join(f"<p class='note'>{note}</p>" for note in (*log.notes, *found.notes)),
+        notes((*log.notes, *found.notes)),
         embed(_torque_figure(log, recorded, models, names)),
         embed(_friction_figure(before, found, m.qd, recorded - models["identified"])),
-        "<h2>Parameters</h2><p class='note'>Shown is the share of the doubt about the file's value that these logs remove. "
-        "Left: they do not show it, so it stays. Combined: only its sum with others is sure.</p>",
+        "<h2>Parameters</h2>",
+        notes([STATUS]),
         parameter_table(found, names),
     ]
     return page(title, sections, names)
@@ -50,12 +54,11 @@ def share_table(held: Share, names: tuple[str, ...]) -> str:
 def parameter_table(found: Identified, names: tuple[str, ...]) -> str:
     """Every parameter before and after."""
     rows = [
-        [names[p.joint - 1], p.name, p.status, f"{p.before:.4g}", f"{p.after:.4g}", p.unit, f"{100 * p.shown:.0f}"]
+        [names[p.joint - 1], p.name, f"{p.before:.4g}", f"{p.after:.4g}", p.unit, f"{100 * p.shown:.0f}", p.status]
         for p in found.parameters
     ]
-    return table(
-        ["joint", "parameter", "", "file", "now", "unit", "shown"], rows, units=["", "", "", "", "", "", "%"], text=3
-    )
+    head = ["joint", "parameter", "file", "now", "unit", "shown", "status"]
+    return table(head, rows, units=["", "", "", "", "", "%", ""], text=2)
 
 
 def _torque_figure(log: Log, recorded: np.ndarray, models: dict[str, np.ndarray], names: tuple[str, ...]) -> go.Figure:

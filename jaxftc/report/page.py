@@ -77,6 +77,11 @@ def table(
     return f"<div class='wide'><table{_class(look)}><thead><tr>{titles}</tr></thead><tbody>{body}</tbody></table></div>"
 
 
+def notes(lines: Sequence[str]) -> str:
+    """A small paragraph for each line of text."""
+    return "".join(f"<p class='note'>{html.escape(line)}</p>" for line in lines)
+
+
 def _provenance(ran: Mapping[str, Any]) -> str:
     rows = [(name.replace("_", " "), _plain(value)) for name, value in ran.items()]
     return "<h2>What ran</h2>" + table(("", ""), rows, text=2, look="provenance") if rows else ""
@@ -87,7 +92,7 @@ def _plain(value: Any) -> str:
         return ", ".join(f"{name} {_plain(one)}" for name, one in value.items()) or "none"
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_plain, value))}]"
-    return "default" if value is None else str(value)
+    return "default" if value is None else str(value) or "none"
 
 
 def _cell(column: int, cell: Cell, text: int) -> str:

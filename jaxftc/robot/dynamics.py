@@ -101,7 +101,7 @@ def acceleration(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array
 
 
 def advance(robot: Robot, engine: Engine, plant: Plant, q: Array, qd: Array, tau: Array, dt: float) -> tuple[Array, Array]:
-    """(q, qd) one tick later under a held torque: semi-implicit Euler, the same scheme as ``mj_step``."""
+    """(q, qd) one tick later, [n, ...] each, under a held torque [n, ...]: semi-implicit Euler, as in ``mj_step``."""
     qd_next = qd + dt * acceleration(robot, engine, plant, q, qd, tau, dt)
     return q + dt * qd_next, qd_next
 

@@ -160,6 +160,7 @@ def _odd_inertias(spec: mujoco.MjSpec) -> dict[str, tuple[float, np.ndarray]]:
 
 
 def _rotation(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation [3, 3] of a quaternion [4], w first."""
     flat = np.zeros(9)
     mujoco.mju_quat2Mat(flat, quaternion)
     return flat.reshape(3, 3)

@@ -57,6 +57,7 @@ def mass_and_bias(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array
 
 
 def _one_arm(robot: Robot, mass: Array, payload: Array, q: Array, qd: Array) -> tuple[Array, Array]:
+    """Mass matrix [n, n] and bias [n] N m of one arm: mass factors [n], payload kg, q [n] rad, qd [n] rad/s."""
     mjx = module()
     model, data = _model(robot, bool(jax.config.read("jax_enable_x64")))
     scale = jnp.concatenate([mass, jnp.ones(1, mass.dtype)])[robot.body_link]  # body -1, the base, reads the last

@@ -97,6 +97,7 @@ def plant_model(robot: Numbers, model: mujoco.MjModel, dt: float | None) -> mujo
 
 
 def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Quaternion [4], w first, of a rotation [3, 3]."""
     found = np.zeros(4)
     mujoco.mju_mat2Quat(found, np.ravel(rotation))
     return found

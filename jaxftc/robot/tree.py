@@ -79,5 +79,5 @@ def turn(axis: Any, angle: float) -> np.ndarray:
 
 
 def point_inertia(position: np.ndarray) -> np.ndarray:
-    """Inertia of one kilogram at ``position`` about the origin."""
+    """Inertia [3, 3] m^2 of one kilogram at ``position`` [3] m about the origin."""
     return position @ position * np.eye(3) - np.outer(position, position)

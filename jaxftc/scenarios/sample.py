@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc import checks
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant
 from jaxftc.scenarios.distributions import Law, scaled

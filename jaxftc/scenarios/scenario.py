@@ -114,6 +114,7 @@ def healthy_scenario(
 
 
 def _angles(name: str, value: ArrayLike, n: int) -> Array:
+    """Angles [n] rad, checked."""
     if np.shape(value) != (n,):
         raise ValueError(f"{name} must have shape [{n}], an angle in rad a joint, got {list(np.shape(value))}")
     checks.finite(name, value, "angles are in rad")

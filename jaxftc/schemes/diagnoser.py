@@ -164,8 +164,13 @@ def _motion(config: Config, gains: Gains, state: State, seen: kinematic.Estimate
     """
     now = threshold.motion(config.robot, seen.q_hat, seen.qd_hat, qdd)
     share = jnp.where(seen.wrong | ~seen.known, 0.0, -jnp.expm1(-_rate(config, gains, state) * config.dt))
-    share = [jnp.where((state.alarm.tau > 0) & (new > old), 0.0, share) for new, old in zip(now, state.motion, strict=True)]
-    return threshold.Motion(*(old + s * (new - old) for old, new, s in zip(state.motion, now, share, strict=True)))
+    falling = state.alarm.tau > 0
+    return threshold.Motion(
+        *(
+            old + jnp.where(falling & (new > old), 0.0, share) * (new - old)
+            for old, new in zip(state.motion, now, strict=True)
+        )
+    )
 
 
 def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array]:

@@ -56,20 +56,9 @@ class State(NamedTuple):
     alarm: alarm.State
     command: LastCommand
 
-    @property
-    def q(self) -> Array:
-        """Angle [n, ...] rad."""
-        return self.motion.q
-
-    @property
-    def unread(self) -> Array:
-        """Ticks [n, ...] since there was a reading."""
-        return self.motion.unread
-
-    @property
-    def tau(self) -> Array:
-        """Last command [n, ...] N m, before the limits."""
-        return self.command.tau
+    q = computed_torque.State.q  # of ``motion``
+    unread = computed_torque.State.unread
+    tau = computed_torque.State.tau  # of ``command``
 
 
 def gains_used(config: Config) -> set[str]:

@@ -130,7 +130,7 @@ def _check_state(config: Config, state: Any) -> None:
 
 
 def _arrays(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
-    """Signals as arrays of the right shape; a torque that is not known, or masked, is NaN."""
+    """Signals as arrays of the shape [n, ...] of ``at``; a torque that is not known, or masked, is NaN."""
     tau = jnp.full_like(at, jnp.nan) if measurement.tau is None else measurement.tau
     signals = [jnp.asarray(checks.filled(signal)) for signal in (*reference, measurement.q, tau)]
     names = ["reference.q", "reference.qd", "reference.qdd", "measurement.q", "measurement.tau"]

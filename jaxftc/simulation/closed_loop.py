@@ -15,7 +15,8 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.core import Tracer
 
 from jaxftc import checks, stages
-from jaxftc.compile.xla import Kind, jit
+from jaxftc.compile.jit import jit
+from jaxftc.compile.xla import Kind
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains

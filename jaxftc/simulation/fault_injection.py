@@ -25,7 +25,7 @@ class Past(NamedTuple):
     turn: Array  # int32, place of the oldest
 
     def after(self, now: Array) -> Past:
-        """With one value more, in the place of the oldest."""
+        """With one value [n, ...] more, in the place of the oldest."""
         values = lax.dynamic_update_index_in_dim(self.values, now, self.turn, 0)
         return Past(values, jnp.where(self.turn == LATEST - 1, 0, self.turn + 1))
 
@@ -62,6 +62,7 @@ def init(tau: Array, y: Array, q: Array) -> State:
 
 
 def _standing(value: Array) -> Past:
+    """A past in which the signal was always ``value`` [n, ...]."""
     return Past(jnp.broadcast_to(value, (LATEST, *value.shape)), jnp.zeros((), jnp.int32))
 
 
@@ -102,7 +103,7 @@ def read(fault: Fault, state: State, t: Array, q: Array, noise: Array) -> tuple[
 
 
 def _late(some: Array, past: Past, now: Array, ticks: Array) -> tuple[Past, Array]:
-    """The memory with this tick's signal, and the signal of some ticks ago.
+    """The memory with this tick's signal, and the signal of some ticks ago; ``now`` and ``ticks`` [n, ...].
 
     Memory is dear in a large batch, 14 % of a tick: it is kept only where one scenario of the batch needs it.
     """
@@ -110,7 +111,7 @@ def _late(some: Array, past: Past, now: Array, ticks: Array) -> tuple[Past, Arra
 
 
 def _effect(kinds: type[Kind], fault: Fault, there: Array, signal: Torque | Reading, healthy: Array) -> Array:
-    """The signal with the fault that is there."""
+    """The signal [n, ...] with the fault that is there, from the healthy one [n, ...]."""
     for kind in kinds:
         if kind:
             healthy = jnp.where(there & (fault.kind == kind), kind.effect(signal), healthy)

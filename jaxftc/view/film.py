@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from tqdm import tqdm
 
-from jaxftc.io.files import aside
+from jaxftc.io.files import atomic_path
 from jaxftc.view.replay import Replay, check_speed
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def shoot(
 
 def write(path: Path, frames: Iterable[Image], fps: float) -> None:
     """Write the file whole or not at all; of a png the only frame."""
-    with aside(path) as temporary:
+    with atomic_path(path) as temporary:
         if path.suffix.lower() == ".mp4":
             _mp4(temporary, frames, fps)
         elif path.suffix.lower() == ".gif":

@@ -190,6 +190,16 @@ def test_without_ray_one_line_says_what_to_install(monkeypatch):
     assert refused("local") == "--cluster needs the package ray; install it with: pip install 'jaxftc[cluster]'"
 
 
+@pytest.mark.parametrize("error", [RuntimeError(), RuntimeError("lost\nits node"), MemoryError()])
+def test_whatever_ends_a_task_ends_the_wait_for_it(error):
+    """Also an error that says nothing: a chunk that is never answered would hold up the campaign for ever."""
+    done, future = Future(), Future()
+    done.set_exception(error)
+    cluster._pass_on(done, future)
+    said = str(future.exception(timeout=0))
+    assert "chunk failed" in said and (str(error).splitlines() or [type(error).__name__])[-1] in said
+
+
 def test_an_address_without_a_cluster_is_refused_at_once(monkeypatch):
     ray = type(sys)("ray")
     ray.init = ray.shutdown = None

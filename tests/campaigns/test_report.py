@@ -18,7 +18,7 @@ from jaxftc.paper import experiment as paper
 from jaxftc.paper.page import demo_page
 from jaxftc.report import figures
 from jaxftc.report.figures import MOST, thin, trace_page, windows
-from jaxftc.report.page import embed, page, table
+from jaxftc.report.page import embed, notes, page, table
 
 SCREENS = {"desktop": (1200, 900), "phone": (390, 844)}
 
@@ -212,3 +212,8 @@ def test_boxes_of_the_diagram_are_files():
     assert all((package / box.module).is_file() for box in diagram.BOXES.values())
     assert {box.block for box in diagram.BOXES.values()} >= set("123456789")
     assert diagram.draw().count("<rect") == len(diagram.BOXES)
+
+
+def test_what_a_log_says_stays_text():
+    """Notes name columns of a file that somebody else wrote."""
+    assert notes(["column <script>"]) == "<p class='note'>column &lt;script&gt;</p>"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.cli.main import main, parse
 from jaxftc.io.files import SUFFIX
 
@@ -150,7 +150,7 @@ def test_run_folders_are_numbered(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names = []
     for _ in range(3):
-        with common.folder(parse(["simulate"]), "simulate") as folder:
+        with results.folder(parse(["simulate"]), "simulate") as folder:
             names.append(folder.name)
     assert names == ["simulate-1", "simulate-2", "simulate-3"]
 

@@ -14,7 +14,7 @@ import pytest
 import jaxftc
 from jaxftc import logs
 from jaxftc.campaigns import spec, store
-from jaxftc.cli import common, record
+from jaxftc.cli import common, record, results
 from jaxftc.cli.main import main, parse
 from jaxftc.io import checksums, files, tables
 from jaxftc.io.folder import MARK, taken
@@ -117,7 +117,7 @@ def test_one_flipped_bit_is_seen(campaign, name):
         flipped(path, chance)
         faults = [store.fault_of(chunk) for chunk in store.chunks(folder, 20, 10)]
         try:
-            store.unaltered(folder)
+            store.check_inputs_unchanged(folder)
             found = store.read_rows(folder, 20)
         except ValueError as error:
             assert str(folder) in str(error) and "\n" not in str(error)
@@ -205,23 +205,23 @@ def options(out, **more):
 def test_one_folder_one_command_one_result_one_process(tmp_path):
     out = tmp_path / "new" / "run"
     refused = pytest.raises
-    with common.folder(options(out), "simulate") as folder:
+    with results.folder(options(out), "simulate") as folder:
         (folder / "result.json").write_text("{}")
-        with refused(ValueError, match="another jaxftc command writes to"), common.folder(options(out), "simulate"):
+        with refused(ValueError, match="another jaxftc command writes to"), results.folder(options(out), "simulate"):
             pass
-    with common.folder(options(out), "simulate"):
+    with results.folder(options(out), "simulate"):
         pass  # the same again, which a run that was killed needs
-    with refused(ValueError, match="holds what jaxftc simulate made; give another"), common.folder(options(out), "demo"):
+    with refused(ValueError, match="holds what jaxftc simulate made; give another"), results.folder(options(out), "demo"):
         pass
     with (
         refused(ValueError, match=r"another result: --seed 0, asked for 1"),
-        common.folder(options(out, seed=1), "simulate"),
+        results.folder(options(out, seed=1), "simulate"),
     ):
         pass
     assert (out / "result.json").read_text() == "{}"
-    with common.folder(options(out, seed=1, force=True), "demo"):
+    with results.folder(options(out, seed=1, force=True), "demo"):
         pass
-    with common.folder(options(out, seed=1), "demo"):
+    with results.folder(options(out, seed=1), "demo"):
         pass
 
 
@@ -231,7 +231,7 @@ def test_a_folder_of_others_is_not_filled(tmp_path, refused):
         assert "holds files that are no result of jaxftc's" in refused(*command, "--out", tmp_path)
     assert os.listdir(tmp_path) == ["thesis.tex"]
     (tmp_path / "thesis.tex").rename(tmp_path / ".hidden")
-    with common.folder(options(tmp_path), "simulate"):
+    with results.folder(options(tmp_path), "simulate"):
         pass
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 import jaxftc
 from jaxftc import logs
 from jaxftc.campaigns import spec, store
-from jaxftc.cli import common
+from jaxftc.cli import common, results
 from jaxftc.cli.main import COMMANDS, main, parse
 from jaxftc.gains import specs
 from jaxftc.io.folder import MARK, taken
@@ -72,7 +72,7 @@ def option_names():
     found = {}
     for command in [*COMMANDS, "tune"]:
         words = [command, "run"] if command == "view" else [command]
-        found[command] = [("--" + name.replace("_", "-"), default) for name, default in common.given(parse(words))]
+        found[command] = [("--" + name.replace("_", "-"), default) for name, default in results.given(parse(words))]
     return found
 
 
@@ -116,7 +116,7 @@ def test_options(stubbed, capsys, words):
     try:
         main(words)
     except Reached as reached:
-        for name, value in common.given(reached.args[0]):
+        for name, value in results.given(reached.args[0]):
             option = "--" + name.replace("_", "-")
             assert not isinstance(value, float) or math.isfinite(value)
             if option in words and isinstance(value, int | float) and not isinstance(value, bool):

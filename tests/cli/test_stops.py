@@ -96,8 +96,8 @@ BUSY = {  # what the process does when the signal comes; it says so before
     "                try: time.sleep(0.1)\n"
     "                except BaseException: pass\n"
     "    sys.meta_path.insert(0, Swallow()); import nowhere",
-    "writing": "from pathlib import Path; from jaxftc.io.files import aside; import time\n"
-    "    with aside(Path('file')) as temporary:\n"
+    "writing": "from pathlib import Path; from jaxftc.io.files import atomic_path; import time\n"
+    "    with atomic_path(Path('file')) as temporary:\n"
     "        temporary.write_text('half'); print('now', flush=True); time.sleep(60)",
 }
 

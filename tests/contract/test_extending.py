@@ -11,6 +11,13 @@ import pytest
 import jaxftc
 
 HOUSE = Path(jaxftc.__file__).parent
+TWO = """
+import jax, jax.numpy as jnp, numpy as np, jaxftc
+from benchmarks.arms import serial
+from jaxftc.robot.model_file import compile_robot
+robot = compile_robot("two", serial(2))
+config = jaxftc.Config(robot, engine="chain")
+"""
 
 
 @pytest.fixture
@@ -21,7 +28,7 @@ def house(tmp_path):
     def run(script):
         path = os.pathsep.join([str(tmp_path), str(HOUSE.parent)])
         done = subprocess.run(
-            [sys.executable, "-c", script],
+            [sys.executable, "-c", TWO + script],
             env=os.environ | {"PYTHONPATH": path},
             cwd=tmp_path,
             capture_output=True,
@@ -64,12 +71,9 @@ def step(config, gains, state, reference, measurement):
 """
     )
     script = """
-import jax, jax.numpy as jnp, jaxftc
-from benchmarks.arms import serial
 from jaxftc.campaigns.spec import variant
-from jaxftc.robot.model_file import compile_robot
 from tuning.transform import tunable
-config = variant(jaxftc.Config(compile_robot("two", serial(2)), engine="chain"), "damper")
+config = variant(config, "damper")
 gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
 held = jaxftc.inverse_dynamics(config.robot, q, 0 * q, 0 * q)
 state = jaxftc.init(config, gains, q)
@@ -112,10 +116,6 @@ def step(config, gains, state, inputs):
 """
     )
     script = """
-import jax, jax.numpy as jnp, jaxftc
-from benchmarks.arms import serial
-from jaxftc.robot.model_file import compile_robot
-config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 gains, q = jaxftc.default_gains(config), jnp.full(2, 0.3)
 state = jaxftc.init(config, gains, q)
 with jax.disable_jit():
@@ -138,15 +138,12 @@ def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
     )
     insert(faults, "    saturation: Share | None = None", "    reversed: Share | None = None")
     script = """
-import pathlib, jax, jax.numpy as jnp, numpy as np, jaxftc
-from benchmarks.arms import serial
-from jaxftc.robot.model_file import compile_robot
+import pathlib
 from jaxftc.scenarios.faults import Actuator
 from jaxftc.simulation import fault_injection
 path = pathlib.Path("mine.toml")
 path.write_text('base = "standard"\\n[shares]\\nhealthy = 0.0\\nactuator = 1.0\\nsensor = 0.0\\nboth = 0.0\\n'
                 '[actuator.reversed]\\nsize = 0.5\\n')
-config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 some = jaxftc.sample_scenarios(jax.random.key(0), 3, path, config=config)
 fault = jax.tree.map(lambda leaf: leaf[0], some.fault_tau)._replace(rise=0.0, clear=jnp.inf, period=jnp.inf)
 joint = int(np.flatnonzero(fault.kind)[0])
@@ -160,10 +157,31 @@ print(Actuator(int(fault.kind[joint])).name, float(tau[joint]), float(np.sum(sta
     assert (name, float(tau)) == ("REVERSED", -1.5)
     faults.write_text((HOUSE / "scenarios" / "faults.py").read_text())
     before = """
-import jax, numpy as np, jaxftc
-from benchmarks.arms import serial
-from jaxftc.robot.model_file import compile_robot
-config = jaxftc.Config(compile_robot("two", serial(2)), engine="chain")
 print(float(np.sum(jaxftc.sample_scenarios(jax.random.key(0), 20, config=config).fault_tau.magnitude)))
 """
     assert run(before) == [drawn]
+
+
+def test_a_log_format_is_a_module_and_a_line(house):
+    """NumPy's archives: a log comes back as it was written."""
+    copy, run = house
+    insert(copy / "logs" / "formats.py", '    ".parquet": "parquet",', '    ".npz": "archive",')
+    (copy / "logs" / "archive.py").write_text(
+        """
+import numpy as np
+from jaxftc.logs.formats import Table
+
+
+def read(path):
+    with np.load(path) as file:
+        return Table(dict(file))
+"""
+    )
+    script = """
+t = 0.01 * np.arange(400)
+q = np.stack([0.5 * np.sin(t), 0.3 * np.cos(2 * t)], 1)
+np.savez("motion.npz", t=t, q1=q[:, 0], q2=q[:, 1], tau1=np.sin(3 * t), tau2=np.cos(t))
+log = jaxftc.logs.read("motion.npz", robot, check=False)
+print(log.dt, bool(np.allclose(log.q, q)), bool(np.allclose(log.tau[:, 1], np.cos(t), atol=1e-6)))
+"""
+    assert run(script) == ["0.01", "True", "True"]

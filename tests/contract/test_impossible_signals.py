@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxftc
-from jaxftc.compile.xla import jit
+from jaxftc.compile.jit import jit
 from jaxftc.robot import dynamics
 from jaxftc.schemes import registry
 from tests.arms import three_hinges

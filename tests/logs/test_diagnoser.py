@@ -143,6 +143,13 @@ def test_thresholds_follow_a_motion_that_the_model_has_wrong(config, calibration
     assert not found[0] or found[1][0].start_s <= found[0][0].start_s + 0.05
 
 
+def test_logs_too_short_for_two_halves_make_them_together(config, calibration, arm):
+    whole, size = rubbing(healthy(arm, 1, 24.0)), round(4.0 / DT)
+    logs = [whole._replace(q=whole.q[k : k + size], tau=whole.tau[k : k + size], t=whole.t[:size])
+            for k in range(0, len(whole.q), size)]  # fmt: skip
+    assert (log_follow.fit(config, calibration.gains, logs).loss < 0.95).any()
+
+
 def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
     """A log whose clock slips by half a sample, for every joint at once, is no encoder's; a jump of one joint is."""
     q, late = log.q.copy(), log.q.copy()

@@ -15,6 +15,7 @@ from jax import lax
 
 import jaxftc
 from jaxftc import stages
+from jaxftc.compile import jit as programs
 from jaxftc.compile import program_cache
 from jaxftc.compile import xla as compiling
 from jaxftc.numerics.barrier import stack, store, unstack
@@ -100,7 +101,7 @@ def test_an_option_that_is_gone_leaves_the_numbers_and_one_warning(short, monkey
     for option in (fake("xla_cpu_no_such_option", 1), fake("xla_disable_hlo_passes", "no_such_pass")):
         compiling.options.cache_clear()
         monkeypatch.setitem(compiling._TABLE, "batch", ((option, compiling._keeps_barriers),))
-        program = compiling.jit(lambda x: stack(unstack(x)[::-1]) * 2)
+        program = programs.jit(lambda x: stack(unstack(x)[::-1]) * 2)
         with pytest.warns(RuntimeWarning, match="has no effect.*same results and run slower") as caught:
             np.testing.assert_array_equal(program(jnp.arange(3.0)), [4, 2, 0])
             np.testing.assert_array_equal(program(jnp.arange(4.0)), [6, 4, 2, 0])
@@ -110,13 +111,13 @@ def test_an_option_that_is_gone_leaves_the_numbers_and_one_warning(short, monkey
 
 def test_what_xla_cannot_compile_our_way_is_compiled_plainly(monkeypatch):
     monkeypatch.setattr(compiling, "options", lambda kind: {"xla_cpu_no_such_option": 1})
-    program = compiling.jit(lambda x, k: x.at[k].set(0.0))
+    program = programs.jit(lambda x, k: x.at[k].set(0.0))
     with pytest.warns(RuntimeWarning, match="could not compile .* with the library's options"):
         np.testing.assert_array_equal(program(jnp.ones(3), jnp.asarray([1])), [1, 0, 1])
 
 
 def test_inside_a_caller_the_function_is_part_of_the_callers_program():
-    program = compiling.jit(lambda scale, x: scale * jnp.tanh(x), static_argnums=0)
+    program = programs.jit(lambda scale, x: scale * jnp.tanh(x), static_argnums=0)
     x = jnp.linspace(-1.0, 1.0, 5)
     np.testing.assert_allclose(jax.jit(lambda x: program(2, x))(x), 2 * jnp.tanh(x))
     np.testing.assert_allclose(jax.vmap(lambda x: program(2, x))(x), 2 * jnp.tanh(x))
@@ -126,7 +127,7 @@ def test_inside_a_caller_the_function_is_part_of_the_callers_program():
 
 def test_a_program_is_made_once_for_each_kind_of_arguments():
     traced = []
-    program = compiling.jit(lambda x: traced.append(x.shape) or x + 1)
+    program = programs.jit(lambda x: traced.append(x.shape) or x + 1)
     for shape in ((3,), (3,), (4,)):
         program(np.ones(shape))
     program(jnp.ones(3))
@@ -143,14 +144,14 @@ def test_a_program_is_made_once_for_each_kind_of_arguments():
 
 def test_a_long_compilation_is_said(monkeypatch):
     said, messages = threading.Event(), []
-    monkeypatch.setattr(compiling, "PATIENCE", 0.0)
-    monkeypatch.setattr(compiling._log, "warning", lambda message: messages.append(message) or said.set())
+    monkeypatch.setattr(programs, "PATIENCE", 0.0)
+    monkeypatch.setattr(programs._log, "warning", lambda message: messages.append(message) or said.set())
 
     def slow(x):
         assert said.wait(10)
         return x
 
-    compiling.jit(slow)(jnp.ones(2))
+    programs.jit(slow)(jnp.ones(2))
     assert "still compiling slow after 0 s" in messages[0]
 
 
@@ -204,7 +205,7 @@ def test_a_program_from_the_cache_is_not_traced_again(cache):
         traced.append(1)
         return {"a": x + jax.random.normal(key, x.shape), "b": x.sum()}
 
-    make = lambda name: compiling.jit(fun, cached_as=name, like={"a": 0, "b": 0})  # noqa: E731
+    make = lambda name: programs.jit(fun, cached_as=name, like={"a": 0, "b": 0})  # noqa: E731
     args = jax.random.key(3), jnp.arange(4.0)
     first, again = make("one")(*args), make("one")(*args)
     assert len(traced) == 1 and len(list(cache.iterdir())) == 1
@@ -216,7 +217,7 @@ def test_a_program_from_the_cache_is_not_traced_again(cache):
 
 
 def test_a_damaged_program_is_made_anew(cache):
-    make = lambda: compiling.jit(lambda x: 2 * x, cached_as="double", like=0)  # noqa: E731
+    make = lambda: programs.jit(lambda x: 2 * x, cached_as="double", like=0)  # noqa: E731
     make()(jnp.ones(2))
     (path,) = cache.iterdir()
     whole = path.read_bytes()
