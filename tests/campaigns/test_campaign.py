@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -187,8 +188,8 @@ def test_a_stopped_campaign_goes_on_and_a_longer_one_too(folder, run, tmp_path, 
     torn.write_bytes(torn.read_bytes()[:-100])
     (tmp_path / f".chunk-000001.parquet.0{SUFFIX}").write_bytes(b"half a file")
     done = run(*command, "-n", 300, program=program)
-    assert "chunk-000001.parquet is not what its checksum says; its rows are run again" in done.stdout
-    assert "chunk-000002.parquet is of a shorter campaign; it is run whole" in done.stdout
+    assert re.search(r"chunk-000001.parquet .*checksum.*run again", done.stdout)
+    assert re.search(r"chunk-000002.parquet .*shorter", done.stdout)
     assert_same_rows(rows_of(tmp_path), whole)
     assert not list(tmp_path.glob(f"*{SUFFIX}"))
     kept = {path: path.read_bytes() for path in tmp_path.glob("chunk-*")}
