@@ -429,7 +429,7 @@ def test_alarms_that_have_gone_are_no_misses():
     assert found["confusion"][1] == [2, 2, 0, 0] and found["alarm_gone"] == [0, 1, 0, 0]
     figure = report.confusion(found)
     assert "1 ended" in figure.data[0].text[1][0] and "ended" not in figure.data[0].text[0][0]
-    assert "or one that was over by then" in figure.layout.meta["note"]
+    assert "ended" in figure.layout.meta["note"]
 
 
 def test_the_trade_off_does_not_bend_back():
