@@ -154,18 +154,21 @@ def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> l
 def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     """Thresholds, and what the healthy time can promise."""
     promise = found.promise
-    lines = levels(config, before, found.gains)
-    lines.append(
-        f"\n{promise.healthy_s:.4g} s of healthy motion, {promise.seen} alarms in it: by that alone at most "
-        f"{promise.at_most_per_hour:.3g} alarms an hour, with {100 * promise.confidence:g} % confidence"
-    )
+    wanted = f"{100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, which is {promise.wanted_per_hour:.3g} an hour"
+    lines = [
+        *levels(config, before, found.gains),
+        "",
+        f"{promise.healthy_s:.4g} s of healthy motion, with {promise.seen} alarms at these thresholds. That alone excludes "
+        f"more than {promise.at_most_per_hour:.3g} alarms an hour, with {100 * promise.confidence:g} % confidence.",
+        f"Wanted: at most an alarm in {wanted}.",
+    ]
     if promise.method == "tail":
-        lines += [
-            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, {promise.wanted_per_hour:.3g}",
-            f"an hour, by counting: EXTRAPOLATED from a fitted tail, by which it is {promise.fitted_per_hour:.3g} an hour",
-        ]
+        lines.append(
+            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, which gives "
+            f"{promise.fitted_per_hour:.3g} an hour; record more healthy motion."
+        )
     else:
-        lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")
+        lines.append("The thresholds are set by counting runs.")
     return "\n".join(lines)
 
 

@@ -171,7 +171,7 @@ def shown_lines(left: list[tuple[str, int]], names: tuple[str, ...]) -> str:
     for name, joint in left:
         by_joint.setdefault(joint, []).append(name)
     lines = [f"  {names[joint - 1]}: {', '.join(found)}" for joint, found in sorted(by_joint.items())]
-    return "\n".join(["these motions do not show, and the file's values stay for:", *lines])
+    return "\n".join(["not shown by these motions, so the file's values stay:", *lines])
 
 
 def share_lines(held: Share, names: tuple[str, ...], *, judged: bool) -> str:

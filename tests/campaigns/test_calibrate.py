@@ -87,9 +87,7 @@ def test_every_joint_shares_the_alarms(puma):
 
 def test_too_few_runs_are_refused_with_the_number_that_would_do():
     assert allowed(299, 0.01, 0.95) == 0
-    with pytest.raises(
-        ValueError, match=r"298 healthy runs are too few to hold 1 % false alarms with 95 % .* at least 299 are"
-    ):
+    with pytest.raises(ValueError, match=r"298 healthy runs.*1 %.*95 %.*at least 299"):
         allowed(298, 0.01, 0.95)
     with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\), got 0"):
         allowed(100, 0, 0.95)
@@ -97,9 +95,7 @@ def test_too_few_runs_are_refused_with_the_number_that_would_do():
 
 def test_alarms_that_no_threshold_prevents_are_told(puma):
     noisy = peaks()._replace(by_check=np.arange(2000) < 100)
-    with pytest.raises(
-        ValueError, match=r"100 of 2000 healthy runs raise an alarm that no threshold prevents .*observer.jump"
-    ):
+    with pytest.raises(ValueError, match=r"100 of 2000.*no threshold.*observer.jump"):
         thresholds(jaxftc.Config(puma), noisy, 0.02, 0.95)
     thresholds(jaxftc.Config(puma), peaks()._replace(by_check=np.arange(2000) < 5), 0.02, 0.95)
 

@@ -167,10 +167,10 @@ def test_a_machine_that_would_write_other_rows_is_refused(job, begin, tmp_path, 
     chunk = next(store.chunks(folder, ROWS, ROWS))
     asked = tasks._conditions(folder, cached=False)
     task = tasks.Task(lambda: job, asked)
-    with pytest.raises(ValueError, match=r"there is jaxftc .*, here jaxftc 0, jax 1; install the same on every machine"):
+    with pytest.raises(ValueError, match=r"here jaxftc 0, jax 1.*install the same"):
         tasks.run_chunk(task._replace(conditions=asked._replace(versions="jaxftc 0, jax 1")), chunk)
     elsewhere = chunk._replace(path=tmp_path / "elsewhere" / chunk.path.name)
-    with pytest.raises(ValueError, match=r"elsewhere is not the folder that it is here; give --out on a disk that all"):
+    with pytest.raises(ValueError, match=r"elsewhere.*not the folder.*--out"):
         tasks.run_chunk(task, elsewhere)
     monkeypatch.setattr(tasks, "describe", lambda config: {"scheme_source": "edited"})
     with pytest.raises(ValueError, match=r"scheme 'cascade' is other code than here"):
@@ -187,7 +187,7 @@ def refused(address):
 
 def test_without_ray_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
-    assert refused("local") == "--cluster needs the package ray; install it with: pip install 'jaxftc[cluster]'"
+    assert "pip install 'jaxftc[cluster]'" in refused("local")
 
 
 @pytest.mark.parametrize("error", [RuntimeError(), RuntimeError("lost\nits node"), MemoryError()])

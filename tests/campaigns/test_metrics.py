@@ -80,7 +80,7 @@ def test_a_run_that_diverged_is_refused(config):
     trace |= {"verdict": np.zeros((10, 6), int)}
     metrics.evaluate(config, trace)
     trace["q"][7:, 2] = np.nan
-    with pytest.raises(ValueError, match=r"the arm diverged: its angles are not finite from 0.007 s on; give smaller"):
+    with pytest.raises(ValueError, match=r"diverged.*0.007 s.*smaller"):
         metrics.evaluate(config, trace)
 
 

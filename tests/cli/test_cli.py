@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -176,7 +177,7 @@ def test_a_command_whose_package_is_missing_says_so(monkeypatch, capsys):
     with pytest.raises(SystemExit) as stop:
         main(["bench", "tuning"])
     assert stop.value.code == 2
-    assert "jaxftc bench is not installed (No module named 'no_such_package'); run it from" in capsys.readouterr().err
+    assert re.search(r"bench is not installed .*'no_such_package'", capsys.readouterr().err)
 
 
 TINY = ["tune", "--observer", "pi", "--control", "smc", "--steps", "15", "--batch", "2", "--validation", "2"]  # three rounds

@@ -141,7 +141,7 @@ def test_one_flipped_bit_of_a_checkpoint_is_seen(tmp_path):
     whole = path.read_bytes()
     for _ in range(200):
         flipped(path, chance)
-        with pytest.raises(ValueError, match=r"is no checkpoint of a tuning run \(.*is damaged.*remove it to begin anew"):
+        with pytest.raises(ValueError, match=r"checkpoint.*damaged.*remove it"):
             checkpoint.read(path, {"version": "1"})
         path.write_bytes(whole)
     for cut in (0, 1, 40, len(whole) - 1):
@@ -242,7 +242,7 @@ def test_an_input_is_never_in_the_folder_for_results(tmp_path, monkeypatch, refu
     jaxftc.save_gains("gains.toml", jaxftc.default_gains(config), config)
     before = Path("gains.toml").read_bytes()
     said = refused("calibrate", "--gains", "gains.toml", "--out", ".", *force)
-    assert "gains.toml is read by this command and lies in its folder for results" in said
+    assert "gains.toml" in said and "folder for results" in said
     assert Path("gains.toml").read_bytes() == before and os.listdir() == ["gains.toml"]
 
 
@@ -280,7 +280,7 @@ def test_a_byte_order_mark_is_no_part_of_a_file(tmp_path):
 def test_nested_brackets_are_refused_in_a_line(tmp_path, brackets):
     path = tmp_path / "deep.toml"
     path.write_text("x = " + "[" * brackets + "]" * brackets)
-    with pytest.raises(ValueError, match=r"cannot read gains from .*deep.toml: brackets are nested too deeply"):
+    with pytest.raises(ValueError, match=r"deep.toml: brackets.*deep"):
         read_toml(path, "gains")
 
 

@@ -100,7 +100,7 @@ def stubbed(monkeypatch, tmp_path):
     def reached(options, *rest, **more):
         raise Reached(options)
 
-    monkeypatch.setattr(common, "folder", reached)
+    monkeypatch.setattr(results, "folder", reached)
     monkeypatch.setattr("jaxftc.sample_scenarios", lambda *args, **more: None)
     monkeypatch.setattr("jaxftc.view.window.show", reached)
     monkeypatch.setattr("jaxftc.cli.common.load_arm", lambda options: ARM)

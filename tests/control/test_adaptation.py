@@ -268,7 +268,7 @@ def test_the_compiled_tick_learns_the_same(config, gains, backend):
 
 @pytest.mark.parametrize("change", [{"scheme": "momentum"}, {"input": "torque"}])
 def test_what_cannot_learn_says_so(config, change):
-    with pytest.raises(ValueError, match="adaptive needs a scheme that learns, the cascade, and input='rigid_body'"):
+    with pytest.raises(ValueError, match=r"adaptive.*scheme.*input='rigid_body'"):
         dataclasses.replace(config, **change)
 
 

@@ -57,12 +57,12 @@ def of(config: jaxftc.Config, scheme: str, **change: object) -> jaxftc.Config:
 
 
 def test_unknown_schemes_and_states_of_another_are_refused(config):
-    with pytest.raises(ValueError, match=r"scheme must be one of .*, got 'momentun'; did you mean 'momentum'"):
+    with pytest.raises(ValueError, match=r"got 'momentun'.*'momentum'"):
         of(config, "momentun")
     gains, q = jaxftc.default_gains(config), jnp.zeros(N)
     told = jaxftc.Reference(q, q, q), jaxftc.Measurement(q, q)
     state = jaxftc.init(of(config, "momentum"), gains, q)
-    with pytest.raises(ValueError, match=r"init with the same config, scheme 'cascade', got jaxftc.schemes.momentum.State"):
+    with pytest.raises(ValueError, match=r"'cascade'.*got jaxftc.schemes.momentum.State"):
         jaxftc.step(config, gains, state, *told)
 
 

@@ -75,7 +75,7 @@ def test_what_is_no_scheme_is_refused_in_one_line(base, monkeypatch):
     ):
         with pytest.raises(ValueError, match=message):
             dataclasses.replace(base, scheme=name)
-    with pytest.raises(ValueError, match="must be a module, a class of one, or the text module:object"):
+    with pytest.raises(ValueError, match=r"module:object"):
         dataclasses.replace(base, scheme=object())
 
 
@@ -114,11 +114,11 @@ def test_its_gains_are_as_good_as_ours(base, pd, tmp_path):
     gains = jaxftc.default_gains(pd)
     np.testing.assert_array_equal(gains.own.kp, [1000.0, 1000.0])
     assert gains.replace({"own.kd": 30.0}).own.kd[1] == 30.0
-    with pytest.raises(ValueError, match=r"gain must be one of .*did you mean 'baseline.kp' or 'own.kp'"):
+    with pytest.raises(ValueError, match=r"did you mean 'baseline.kp' or 'own.kp'"):
         gains.replace({"kp": 30.0})
     with pytest.raises(ValueError, match=r"own.weight must lie in \(0, 1\], got"):
         jaxftc.simulate(pd, gains.replace({"own.weight": 2.0}), jaxftc.healthy_scenario(pd), jax.random.key(0))
-    with pytest.raises(ValueError, match=r"gains.own must be those of scheme 'pd_gravity', got NoneType; default_gains"):
+    with pytest.raises(ValueError, match=r"gains.own.*'pd_gravity'.*NoneType.*default_gains"):
         jaxftc.init(pd, jaxftc.default_gains(base), START)
     assert "on the angle's error" in type(gains.own).__doc__
 
@@ -169,7 +169,7 @@ def test_it_is_tuned(pd):
     found = tuning.fit(pd, start, scenarios, key=jax.random.key(1), objective=terms, settings=settings)
     assert not np.array_equal(found.gains.own.kp, start.own.kp)
     np.testing.assert_array_equal(found.gains.control.lam, start.control.lam)
-    with pytest.raises(ValueError, match=r"gain 'control\.lam' does nothing with scheme 'pd_gravity'"):
+    with pytest.raises(ValueError, match=r"'control\.lam' does nothing.*'pd_gravity'"):
         tuning.fit(pd, start, scenarios, key=jax.random.key(1), only=("control.lam",), settings=settings)
 
 

@@ -68,9 +68,7 @@ def test_an_unstable_observer_is_refused_with_its_radius(use):
     gains = exact(
         slow, dataclasses.replace(of_1_ms, arx=jaxftc.default_gains(slow).arx).replace({"arx.xi_a": 0.8, "arx.xi_b": 0.8})
     )
-    with pytest.raises(
-        ValueError, match=r"joint 1 .* is unstable at dt = 0.01 s: the spectral radius .* is 1\.\d+ and must be"
-    ):
+    with pytest.raises(ValueError, match=r"joint 1.*unstable.*0.01 s.*radius.*1\.\d+"):
         if use == "init":
             jaxftc.init(slow, gains, jnp.zeros(3))
         elif use == "simulate":
@@ -88,7 +86,7 @@ def test_every_scenario_of_swept_gains_is_looked_at():
     for place, factor in np.ndenumerate(factors):
         alone = one.replace({"observer.alpha_i": one.observer.alpha_i * factor})
         np.testing.assert_array_equal(found[:, *place], stability.spectral_radius(made, alone))
-    with pytest.raises(ValueError, match=r"joint 1 .* in scenario 1, 1 \(from 0\) is unstable .* radius .* is 1\.\d+ and"):
+    with pytest.raises(ValueError, match=r"joint 1.*scenario 1, 1.*unstable.*1\.\d+"):
         jaxftc.Diagnoser(made, swept)
 
 

@@ -196,7 +196,7 @@ def test_a_gains_file_has_the_shares_and_one_without_them_is_refused(small, foll
     for name in threshold.FOLLOW:
         del table["diagnosis"][name]
     path.write_text(tomli_w.dumps(table))
-    with pytest.raises(ValueError, match=r"lacks diagnosis\.follow_speed, .*follow_payload; write it with save_gains"):
+    with pytest.raises(ValueError, match=r"lacks diagnosis\.follow_speed.*follow_payload.*save_gains"):
         jaxftc.load_gains(path, small)
 
 

@@ -56,13 +56,13 @@ def test_every_scheme_has_one(config, scheme, backend):
 def test_what_is_not_one_arm_is_refused(config, loop):
     tick, _, reference, angles = loop
     state = tick.init(angles[0])
-    with pytest.raises(ValueError, match=r"measurement.q must have shape \[3\], one arm's joints, got \[2\]"):
+    with pytest.raises(ValueError, match=r"measurement.q.*\[3\].*got \[2\]"):
         tick.step(state, reference, jaxftc.Measurement(angles[0, :2], angles[0]))
     with pytest.raises(ValueError, match=r"q must have shape \[3\]"):
         tick.init(np.zeros((3, 2)))
     with pytest.raises(ValueError, match="q must be finite"):
         tick.init(angles[7])
-    with pytest.raises(ValueError, match=r"state must come from Tick.init, shape \[\d+\], got \[1\]"):
+    with pytest.raises(ValueError, match=r"Tick.init.*\[\d+\], got \[1\]"):
         tick.step(state[:1], reference, jaxftc.Measurement(angles[0], angles[0]))
 
 
@@ -105,18 +105,18 @@ def test_arguments_of_another_kind_are_refused(config, loop):
     tick, gains, reference, angles = loop
     measurement, state = jaxftc.Measurement(angles[0], angles[0]), tick.init(angles[0])
     for step in (tick.step, lambda *told: jaxftc.step(config, gains, jaxftc.init(config, gains, angles[0]), *told[1:])):
-        with pytest.raises(ValueError, match="reference must be a Reference, got a Measurement; arguments in another order"):
+        with pytest.raises(ValueError, match=r"Reference, got a Measurement.*order"):
             step(state, measurement, reference)
         with pytest.raises(ValueError, match="measurement must be a Measurement, got a tuple"):
             step(state, reference, (angles[0],))
         with pytest.raises(ValueError, match="reference must be a Reference, got a NoneType"):
             step(state, None, measurement)
-    with pytest.raises(ValueError, match=r"state must come from Tick.init, shape \[\d+\], got a NoneType"):
+    with pytest.raises(ValueError, match=r"Tick.init.*\[\d+\], got a NoneType"):
         tick.step(None, reference, measurement)
     for call in (jaxftc.Tick, lambda c, g: jaxftc.init(c, g, angles[0]), lambda c, g: jaxftc.identify.fit_batch(c, g, None)):
         with pytest.raises(ValueError, match="config must be a Config, got a NoneType"):
             call(None, gains)
-        with pytest.raises(ValueError, match="config must be a Config, got a Gains; arguments in another order"):
+        with pytest.raises(ValueError, match=r"Config, got a Gains.*order"):
             call(gains, config)
         with pytest.raises(ValueError, match="gains must be a Gains, got a NoneType"):
             call(config, None)

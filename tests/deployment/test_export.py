@@ -268,15 +268,13 @@ def test_a_folder_that_is_not_as_it_was_written_is_refused(exported, tmp_path):
     for file in (*stablehlo.FILES, stablehlo.METADATA):
         (tmp_path / file).write_bytes((exported["double"][0] / file).read_bytes())
     (tmp_path / stablehlo.FILES[1]).write_bytes(b"")
-    with pytest.raises(ValueError, match=r"ftc_step.stablehlo is not as it was written; export again"):
+    with pytest.raises(ValueError, match=r"ftc_step.stablehlo.*export again"):
         jaxftc.export.load(tmp_path)
 
 
 def test_a_missing_compiler_is_one_line(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", "no-such-compiler")
-    with pytest.raises(
-        ValueError, match=r"no C compiler: CC is 'no-such-compiler', which is not there; install gcc or clang"
-    ):
+    with pytest.raises(ValueError, match=r"no C compiler.*'no-such-compiler'.*gcc"):
         native.build([tmp_path / "a.c"], tmp_path / "a")
 
 

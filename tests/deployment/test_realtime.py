@@ -346,7 +346,7 @@ def test_a_full_disk_does_not_stop_the_loop(loop):
 
 
 def test_what_cannot_be_run_is_refused_before_it_starts(loop, tmp_path):
-    with pytest.raises(ValueError, match=r"duration must be a positive, finite number of seconds; math\.inf"):
+    with pytest.raises(ValueError, match=r"duration.*positive.*math\.inf"):
         loop.run(0.0)
     loop.robot.reading = lambda k, q: q * np.nan
     with pytest.raises(ValueError, match="q must be finite"):

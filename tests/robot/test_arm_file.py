@@ -140,9 +140,9 @@ def test_the_built_in_arm_has_a_file_too(tmp_path, puma):
 
 def test_what_no_file_holds_is_not_saved(tmp_path):
     arm = jaxftc.load_arm(written(tmp_path, urdf(TWO)))
-    with pytest.raises(ValueError, match="'text' did not come from a file, so there is none to name"):
+    with pytest.raises(ValueError, match=r"'text'.*file"):
         jaxftc.save_arm(tmp_path, jaxftc.Arm(compile_robot("text", serial(1))))
-    with pytest.raises(ValueError, match="differs from its model's file in q_zero, which an arm's file cannot hold"):
+    with pytest.raises(ValueError, match=r"q_zero.*cannot hold"):
         jaxftc.save_arm(tmp_path, jaxftc.Arm(arm.robot.replace(q_zero=np.ones(2))))
     assert not (tmp_path / "arm.toml").exists()
 
@@ -257,7 +257,7 @@ def test_a_robot_of_other_numbers_is_another_static_argument(rubbed):
     sided, _ = rubbed
     heavier = sided.replace(links=tuple(dataclasses.replace(link, mass=2 * link.mass) for link in sided.links))
     assert heavier != sided and heavier.replace(links=sided.links) == sided
-    with pytest.raises(ValueError, match=r"number of a robot must be one of .* did you mean 'links'"):
+    with pytest.raises(ValueError, match=r"did you mean 'links'"):
         sided.replace(link=())
-    with pytest.raises(ValueError, match=r"armature must have shape \[2\], a number a joint, got \[3\]"):
+    with pytest.raises(ValueError, match=r"armature.*\[2\].*got \[3\]"):
         sided.replace(armature=np.ones(3))

@@ -521,11 +521,9 @@ def test_a_tool_in_a_frame_is_where_it_is_drawn():
 
 
 def test_a_tool_on_an_earlier_link_and_a_fluid_are_refused():
-    with pytest.raises(
-        ValueError, match=r"odd: the site 'tool' must sit on the last link, where a payload hangs; move it there"
-    ):
+    with pytest.raises(ValueError, match=r"odd: .*'tool'.*last link"):
         compile_robot("odd", small_arm(on_first='<site name="tool"/>'))
-    with pytest.raises(ValueError, match=r"wet: air or water \(option density, viscosity\) is not modelled here; remove it"):
+    with pytest.raises(ValueError, match=r"wet: .*density.*not modelled"):
         compile_robot("wet", small_arm(option='<option density="1.2"/>'))
 
 

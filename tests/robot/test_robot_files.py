@@ -328,7 +328,7 @@ def test_a_link_that_no_body_can_be_is_loaded_and_said_while_the_arm_can_be(tmp_
     """What an identification makes of single links: M(q) is still positive definite, and exact in both engines."""
     odd = link("upper", 3, TENSOR.replace('izz="0.025"', 'izz="-0.01"'))
     text = urdf(TWO.replace(link("upper"), odd))
-    with pytest.warns(UserWarning, match=r"link 'upper' has an inertia that no body can have: .* the least below zero"):
+    with pytest.warns(UserWarning, match=r"'upper'.*inertia.*below zero"):
         robot = load(tmp_path, text)
     agrees(robot, text)
     q = np.array([0.4, -0.9])
@@ -338,7 +338,7 @@ def test_a_link_that_no_body_can_be_is_loaded_and_said_while_the_arm_can_be(tmp_
     mujoco.mj_fullM(robot.mj_model, data, full)
     np.testing.assert_allclose(full, by_hand(text, robot.joint_names, q, {})[0], atol=1e-12)
     tensor = 'fullinertia="0.01 0.02 0.05 0 0 0"'
-    with pytest.warns(UserWarning, match="link 'upper' has .* the largest above the sum of the others"):
+    with pytest.warns(UserWarning, match=r"'upper'.*above the sum"):
         assert load(tmp_path, mjcf(inertia=tensor), "arm.xml").links[0].inertia[2, 2] == pytest.approx(0.05 + 2 * 0.01)
 
 

@@ -212,17 +212,13 @@ def test_noise_depends_on_the_id_not_on_the_place(config):
 
 
 def test_refusals(config):
-    with pytest.raises(
-        ValueError, match=r"condition must be one of 'healthy', 'actuator', 'sensor', 'both', got 'actuators'; did"
-    ):
+    with pytest.raises(ValueError, match=r"condition.*'sensor'.*got 'actuators'; did"):
         paper_scenario("actuators", config)
-    with pytest.raises(
-        ValueError, match=r"preset must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 'papers'; did"
-    ):
+    with pytest.raises(ValueError, match=r"preset.*'uncommon'.*got 'papers'; did"):
         jaxftc.sample_scenarios(jax.random.key(0), 4, preset="papers", config=config)
-    with pytest.raises(ValueError, match=r"n must be an integer of at least 1, got 0; it is the number of scenarios"):
+    with pytest.raises(ValueError, match=r"n must.*at least 1, got 0"):
         jaxftc.sample_scenarios(jax.random.key(0), 0, config=config)
-    with pytest.raises(ValueError, match=r"key must be one random key, such as jax\.random\.key\(0\), got 0"):
+    with pytest.raises(ValueError, match=r"key.*random key.*got 0"):
         jaxftc.sample_scenarios(0, 4, config=config)
 
 

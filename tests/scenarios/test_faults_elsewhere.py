@@ -91,7 +91,7 @@ def test_it_does_what_our_own_loop_does():
 
 
 def test_what_does_not_fit_is_refused():
-    with pytest.raises(ValueError, match=r"command must have the shape of its faults, \[2\], got \[3\]"):
+    with pytest.raises(ValueError, match=r"command.*\[2\].*\[3\]"):
         faults.Injector(faults.healthy(2)).command(0.0, np.zeros(3))
     with pytest.raises(ValueError, match="joint must be 1 to 2, got 3"):
         faults.healthy(3, 2).with_encoder_bias(3, 0.1, 0.1)
@@ -140,7 +140,7 @@ def test_gymnasium_sees_faults_and_info_has_the_truth():
     drawn = FaultWrapper(Cart(), draw)
     first = [drawn.reset(seed=seed)[0].tolist() for seed in (1, 1, 2)]
     assert first[0] == first[1] != first[2] and max(first[0]) >= 1
-    with pytest.raises(ValueError, match="faults must be of 1 commands and 1 readings, got shapes"):
+    with pytest.raises(ValueError, match=r"1 commands and 1 readings"):
         FaultWrapper(Cart(), draw, sensors=[0]).reset()
     with pytest.raises(ValueError, match="sensors must be entries of the observation, 0 to 1"):
         FaultWrapper(Cart(), plan, sensors=[2])

@@ -342,15 +342,13 @@ def test_joints_beyond_the_arm_are_refused():
         lambda: jaxftc.sample_scenarios(jax.random.key(0), 2, preset, config=config),
         lambda: draw_all(preset, config, jax.random.key(0), jnp.arange(2)),
     ):
-        with pytest.raises(ValueError, match=r"^the preset: joints.allowed: 'three' has joints 1 to 3, got \[2, 5\]$"):
+        with pytest.raises(ValueError, match=r"joints.allowed.*'three'.*1 to 3.*\[2, 5\]"):
             call()
 
 
 def test_an_arm_without_torque_limits_is_refused():
     config = jaxftc.Config(arm("free", 1, motors=False), engine="chain")
-    with pytest.raises(
-        ValueError, match=r"preset 'standard' sizes faults by torque limits, 'free' has \[inf\] N m; give every"
-    ):
+    with pytest.raises(ValueError, match=r"'standard'.*torque limits.*'free'.*\[inf\]"):
         jaxftc.sample_scenarios(jax.random.key(0), 2, preset="standard", config=config)
 
 

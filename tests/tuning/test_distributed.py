@@ -199,7 +199,7 @@ def test_each_process_gives_as_many_devices(owners, count, used, monkeypatch):
 
 def test_a_batch_that_cannot_be_shared_is_refused(monkeypatch):
     monkeypatch.setattr(devices.jax, "devices", lambda: [Device(owner) for owner in range(3)])
-    with pytest.raises(ValueError, match="batch must be a multiple of the number of processes, 3, got 64"):
+    with pytest.raises(ValueError, match=r"batch.*multiple.* 3, got 64"):
         devices.mesh_for(64)
 
 
@@ -284,7 +284,7 @@ def test_processes_that_were_begun_differently_are_refused(tune, port, tmp_path)
                   "--process", "1", "--weight", "delay=3")  # fmt: skip
     said = [each.communicate(timeout=300)[1].strip().splitlines()[-1] for each in (first, second)]
     assert (first.returncode, second.returncode) == (2, 2)
-    assert said[1] == "jaxftc: process 0 has another objective than this one; begin all with the same options and files"
+    assert "another objective" in said[1] and "same options" in said[1]
     assert said[0].startswith("jaxftc: process 1 has ended")
     assert not list((tmp_path / "run").glob("*.npz"))
 

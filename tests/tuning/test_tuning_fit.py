@@ -91,7 +91,7 @@ def test_a_checkpoint_of_another_run_is_refused(arm, scenarios, tmp_path):
     short = dataclasses.replace(SMALL, method="random", steps=1)
     tmp_path = tmp_path / "new" / "folder"
     run(arm, scenarios, folder=tmp_path, settings=short)
-    with pytest.raises(ValueError, match=r"another run: its settings differ .*rate 0.2, here 0.1.*under the same options"):
+    with pytest.raises(ValueError, match=r"settings differ.*0.2, here 0.1"):
         run(arm, scenarios, folder=tmp_path, settings=dataclasses.replace(short, learning_rate=0.1))
     with pytest.raises(ValueError, match="its scenarios differ"):
         run(arm, take(scenarios, slice(20)), folder=tmp_path, settings=short)
@@ -309,9 +309,9 @@ def test_weights_of_terms(arm):
     assert {n for n in OBJECTIVE if changed[n] != OBJECTIVE[n]} == {"delay", "effort"}
     assert (changed["delay"].weight, changed["effort"].weight) == (3.0, 0.0)
     assert changed["delay"].value is OBJECTIVE["delay"].value
-    with pytest.raises(ValueError, match=r"weight must be one of 'fault_tau'.* got 'dely'; did you mean 'delay'"):
+    with pytest.raises(ValueError, match=r"got 'dely'.*'delay'"):
         terms.weighted(OBJECTIVE, {"dely": 3.0})
-    with pytest.raises(ValueError, match=r"the weight of delay must be finite and not negative, got -1.0"):
+    with pytest.raises(ValueError, match=r"weight of delay.*-1.0"):
         terms.weighted(OBJECTIVE, {"delay": -1.0})
 
 

@@ -162,7 +162,7 @@ def test_a_baseline_tunes_its_own_gains_only(config):
     assert set(transform.select(momentum)) == own
     with pytest.raises(ValueError, match=r"gain 'control.lam' does nothing with scheme 'momentum'"):
         transform.select(momentum, ["control.lam"])
-    with pytest.raises(ValueError, match=r"gain 'baseline.rate' does nothing with observer 'ts' and control 'afesmc'"):
+    with pytest.raises(ValueError, match=r"'baseline.rate' does nothing.*'ts'.*'afesmc'"):
         transform.select(config, ["baseline.rate"])
 
 
