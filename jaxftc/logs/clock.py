@@ -1,4 +1,4 @@
-"""Stamps of a log: their unit, the rate that it was recorded at, gaps, and rows brought to even times."""
+"""Rows of a log in time: the rate that it was recorded at, gaps, and rows brought to even times."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ GAP = 5  # sample times without a row that are bridged by straight lines,
 GAP_SECONDS = 0.02  # or this long, whichever is more; longer ones cut the log
 LEAST_ROWS = 20  # of a segment
 RESTART_ROWS = 50  # rows behind a backward stamp that make it a new recording
-UNITS = ((0.2, 1.0, "s"), (200.0, 1e-3, "ms"), (2e5, 1e-6, "us"), (np.inf, 1e-9, "ns"))  # median step below: the unit
 RATES = np.array([2000, 1000, 500, 400, 250, 240, 200, 150, 125, 120, 100, 80, 75, 60, 50, 40, 30, 25, 20, 15, 10.0])  # Hz
 
 
@@ -22,35 +21,6 @@ class Rows(NamedTuple):
     starts: np.ndarray  # places in ``kept`` at which a segment starts
     dt: float  # s, the log's own sample time
     notes: list[str]
-
-
-def seconds(stamps: np.ndarray, unit: float | str | None) -> tuple[np.ndarray, str]:
-    """Stamps as s from the first one, and what was made of their unit; NaN where a stamp is missing.
-
-    Raises:
-        ValueError: text that is no date, or a stamp that never moves.
-    """
-    if stamps.dtype.kind == "O":
-        first = next((s for s in stamps if s is not None and str(s).strip()), "")
-        try:
-            stamps = np.array([str(s).strip().rstrip("Z").replace(",", ".") if s is not None else "NaT" for s in stamps])
-            stamps = stamps.astype("datetime64[ns]")
-        except ValueError as error:
-            raise ValueError(f"must hold the time as numbers or ISO dates, got {first!r}") from error
-    if stamps.dtype.kind == "M":
-        missing = np.isnat(stamps)
-        steps = (stamps - stamps[~missing][0]).astype("timedelta64[ns]").astype(np.int64) * 1e-9
-        return np.where(missing, np.nan, steps), "time is a date"
-    start = stamps[np.isfinite(stamps)]
-    t = (stamps - start[0]).astype(float) if len(start) else stamps.astype(float)  # whole ns have more digits than a float
-    if isinstance(unit, float):
-        return t * unit, ""
-    steps = np.diff(t[np.isfinite(t)])
-    if not (steps > 0).any():
-        raise ValueError(f"must increase from row to row, it is {stamps[0]} throughout")
-    median = float(np.median(steps[steps > 0]))
-    scale, name = next((scale, name) for limit, scale, name in UNITS if median < limit)
-    return t * scale, "" if name == "s" else f"time is in {name}"
 
 
 def own_rate(t: np.ndarray) -> float:
@@ -83,6 +53,9 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
                 f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again"
             )
     t = t[usable]
+    if (np.diff(t) <= 0).all() and np.ptp(t) > 0:
+        usable, t = usable[::-1], t[::-1] - t[-1]
+        notes.append("the rows run backwards in time; turned round")
     dt = own_rate(t)
     restarts = [k for k in np.flatnonzero(np.diff(t) < -10 * dt) + 1 if (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
     restarts = [k for k in restarts if len(t) - k >= RESTART_ROWS]
