@@ -9,6 +9,7 @@ import numpy as np
 GAP = 5  # sample times without a row that are bridged by straight lines,
 GAP_SECONDS = 0.02  # or this long, whichever is more; longer ones cut the log
 LEAST_ROWS = 20  # of a segment
+NEAR = 2  # rows before and after, from which it is read how far a row's stamp may be wrong
 RESTART_ROWS = 50  # rows behind a backward stamp that make it a new recording
 RATES = np.array([2000, 1000, 500, 400, 250, 240, 200, 150, 125, 120, 100, 80, 75, 60, 50, 40, 30, 25, 20, 15, 10.0])  # Hz
 
@@ -101,11 +102,18 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     return Rows(kept[use], t[use], starts, dt, notes)
 
 
-def resample(
-    rows: Rows, values: list[np.ndarray], dt: float
-) -> tuple[np.ndarray, list[np.ndarray], tuple[tuple[int, int], ...]]:
-    """Times, values [T, n] at every ``dt`` by straight lines between the rows, and the segments [start, stop)."""
-    times, out, segments, length = [], [[] for _ in values], [], 0
+class Even(NamedTuple):
+    """Rows at even times."""
+
+    t: np.ndarray  # [T] s
+    values: list[np.ndarray]  # [T, n] each
+    segments: tuple[tuple[int, int], ...]  # [start, stop)
+    jitter: np.ndarray  # [T] s, by which the time between readings may be wrong
+
+
+def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
+    """The rows at every ``dt``, by straight lines between them."""
+    times, out, segments, jitter, length = [], [[] for _ in values], [], [], 0
     for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
         t = rows.t[start:stop]
         ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-3)) + 1  # stamps may be of single precision
@@ -114,7 +122,22 @@ def resample(
         for column, value in zip(out, values, strict=True):
             part = value[start:stop]
             column.append(part if even else np.stack([np.interp(grid, t, c) for c in part.T], axis=1))
+        jitter.append(uneven(t)[np.searchsorted(t, grid).clip(max=len(t) - 1)])
         times.append(grid)
         segments.append((length, length + ticks))
         length += ticks
-    return np.concatenate(times), [np.concatenate(column) for column in out], tuple(segments)
+    joined = [np.concatenate(column) for column in out]
+    return Even(np.concatenate(times), joined, tuple(segments), np.concatenate(jitter))
+
+
+def uneven(t: np.ndarray) -> np.ndarray:
+    """By how much [rows] s the steps of the stamps t [rows] s around each row differ.
+
+    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ, so may the two; where they
+    differ often, so may the two in every row.
+    """
+    steps = np.pad(np.diff(t), NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(steps, 2 * NEAR)
+    apart = np.ptp(near, axis=1)
+    apart = np.maximum(apart, np.quantile(apart, 0.9))
+    return np.where(apart > 1e-3 * np.median(steps), apart, 0.0)

@@ -135,10 +135,11 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
             f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
             f"what lies between its rows is not known, so take dt = {rows.dt:g}"
         )
-    times, (q, torque), segments = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
-    if len(times) < LEAST_ROWS:
-        raise ValueError(f"the log has {len(times)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
-    log = Log(q, torque, times, step, segments, unit=unit)
+    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
+    q, torque = even.values
+    if len(q) < LEAST_ROWS:
+        raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
+    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=even.jitter)
     if tau is not None and options.check:
         wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
         if wrong and options.faulty:

@@ -81,6 +81,7 @@ class Measurement(NamedTuple):
 
     q: Array  # [n, ...] rad, encoder; not finite where there is no reading
     tau: Array  # [n, ...] N m, torque at this reading, measured or commanded; not finite where it is not known
+    jitter: Array | float = 0.0  # [n, ...] s, by which the time between readings may be wrong
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -101,7 +102,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 
 def step(config: Config, gains: Gains, state: State, measurement: Measurement) -> tuple[State, Diagnosis]:
     """One tick: pure, jit-able, vmap-able."""
-    reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0)
+    reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0, measurement.jitter)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
     residual, age = _balance(config, gains, state, seen, measurement.tau)
     offset, slow = _offset(config, gains, state, residual.r, seen.qd_hat)

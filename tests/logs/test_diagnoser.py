@@ -153,6 +153,24 @@ def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
     assert verdict[ON] == jaxftc.Verdict.NORMAL and verdict[ON + 1] == jaxftc.Verdict.SENSOR
 
 
+def test_rows_that_were_written_late_are_no_fault(config, calibration, tmp_path):
+    """A recorder polls, at uneven times, what the robot refreshes every 8 ms; one joint moves, so no other one says so."""
+    rng = np.random.default_rng(4)
+    t = np.cumsum(np.r_[0.0, rng.uniform(0.006, 0.014, 1199)])
+    q = np.tile([0.2, -0.6, 0.9], (1200, 1)) + 1e-5 * rng.standard_normal((1200, 3))
+    q[:, 1] += 0.1 * np.floor(t / 0.008) * 0.008
+    columns = {"t": t} | {f"q{j + 1}": q[:, j] for j in range(3)}
+    log = logs.read(small_logs.write(tmp_path / "polled.csv", columns), config)
+    assert log.jitter.max() < 0.01
+    verdict = logs.diagnose(config, calibration.gains, log).verdict
+    assert not (verdict & jaxftc.Verdict.SENSOR).any()
+    on = log.t > 6.0
+    assert (logs.diagnose(config, calibration.gains, log._replace(jitter=None)).verdict[:, 1] & jaxftc.Verdict.SENSOR).any()
+    faulty = log._replace(q=log.q + np.deg2rad(1.0) * np.outer(on, [0, 1, 0]))
+    verdict = logs.diagnose(config, calibration.gains, faulty).verdict
+    assert not verdict[~on].any() and (verdict[on][2:] & jaxftc.Verdict.SENSOR == [0, jaxftc.Verdict.SENSOR, 0]).all()
+
+
 @pytest.mark.parametrize("back", [1, 2])
 def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
     """It is off for a tick, or to one side and then to the other, and right again."""

@@ -581,6 +581,14 @@ def test_jitter_is_taken_out_with_the_stamps(arm, tmp_path):
     np.testing.assert_allclose(log.q[1:-1], ours[1:-1], atol=3e-4)  # without the stamps it would be 3e-3
 
 
+def test_uneven_stamps_are_known_to_be_uncertain(arm, good, tmp_path):
+    late = good["t"] + np.where((K == 100) | (K == 400), 0.004, 0.0)
+    log = logs.read(small_logs.write(tmp_path / "log.csv", good | {"t": late}), arm)
+    np.testing.assert_allclose(log.jitter[[50, 100, 250, 400]], [0, 0.008, 0, 0.008], atol=1e-6)
+    assert (log.jitter > 0).sum() <= 14
+    assert not logs.read(small_logs.write(tmp_path / "log.csv", good), arm).jitter.any()
+
+
 def test_the_rate_is_the_logs_own_or_the_configs(arm, tmp_path):
     for rate, dt in ((125, 0.008), (500, 0.002), (30, 1 / 30), (90.9, 0.011), (4, 0.25)):  # 0.25 is not taken for ms
         path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, seconds=8 + 120 / rate, rate=rate))
