@@ -27,6 +27,7 @@ MOTOR = ("motor_inertia", "viscous", "coulomb", "coulomb_asymmetry", "offset")  
 UNIT = {"mass": "kg", "mx": "kg m", "my": "kg m", "mz": "kg m", "motor_inertia": "kg m^2", "viscous": "N m s/rad",
         "coulomb": "N m", "coulomb_asymmetry": "N m", "offset": "N m", "torque_gain": "N m/A"}  # fmt: skip
 TRUST = (0.0, 0.03, 0.1, 0.3, 1.0)  # lambda of the links that are tried; 0 keeps the file's links
+MOVING = 0.01  # rad/s, at which a joint is said to move
 SPEEDS = (0.1, 0.05, 0.02, 0.01)  # rad/s, widths of the friction's tanh that are tried, the smoothest first
 CLOSE = 1.005  # a simpler model is taken where its held-out share is within this of the best
 PARTS, FOLDS = 12, 4  # a stretch is cut into parts, every fourth of which is held out together
@@ -139,7 +140,7 @@ def dynamics(
     choices: list[tuple[float, float, float, _Sums]] = []
     for speed in SPEEDS:
         sums = _sums(links, _motor_columns(robot.n, qd, qdd, speed), torque, fold)
-        choices.append((_held_out(sums, _fit_folds(robot, sums, file, doubt, 0.3, bodies=False)), 0.3, speed, sums))
+        choices.append((_held_out(sums, _fit_folds(robot, sums, file, doubt, 0.3)), 0.3, speed, sums))
     shown = _fit(robot, choices[1][3].without(None), file, doubt, 1.0, bodies=False)[1]
     tell([(p.name, p.joint) for p in _parameters(robot, file, file, shown) if p.status == "left"])
     best = min(choice[0] for choice in choices)
@@ -288,8 +289,15 @@ def _doubt(robot: Robot, torque: np.ndarray, qd: np.ndarray, qdd: np.ndarray) ->
         parts.append(mass * np.repeat([1.0, length, length**2], [1, 3, 6]))
     size = _rms(torque) + 1e-9
     fast, hard = _rms(qd) + 1e-3, _rms(qdd) + 1e-2
-    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    offset = np.where(_one_way(qd), 1e-4, 0.3) * size  # of one direction friction and an offset are the same: it is friction
+    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, offset])
     return np.concatenate([*parts, np.maximum(motor, np.abs(_file(robot)[10 * robot.n :]))])
+
+
+def _one_way(qd: np.ndarray) -> np.ndarray:
+    """Which joints [n] move in one direction only; speeds [T, n] rad/s."""
+    ahead, back = ((sign * qd > MOVING).mean(0) for sign in (1, -1))
+    return (np.maximum(ahead, back) > 0.1) & (np.minimum(ahead, back) < 0.02)
 
 
 def _start(

@@ -133,8 +133,8 @@ def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
 def uneven(t: np.ndarray) -> np.ndarray:
     """By how much [rows] s the steps of the stamps t [rows] s around each row differ.
 
-    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ, so may the two; where they
-    differ often, so may the two in every row.
+    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ, so may the two; where
+    they differ often, so may the two in every row.
     """
     steps = np.pad(np.diff(t), NEAR, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(steps, 2 * NEAR)

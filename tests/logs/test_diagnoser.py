@@ -183,6 +183,28 @@ def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
     np.testing.assert_allclose(said.q_hat[ON + 30 :], healthy.q_hat[ON + 30 :], atol=1e-3)
 
 
+def stopping(arm, hit):
+    """The first joint goes at 0.1 rad/s and stops within 50 ms: by its motor, or because it runs into something."""
+    t = DT * np.arange(1200)
+    shape = np.clip((t - 2.0) / 0.5, 0, 1) - np.clip((t - 8.0) / 0.05, 0, 1)
+    qd = np.outer(0.1 * shape, [1, 0, 0])
+    q = np.cumsum(qd, axis=0) * DT + [0.2, -0.6, 0.9]
+    qdd = np.gradient(qd, DT, axis=0)
+    qdd[700:, 0] *= not hit
+    tau = small_logs.torque(arm_file(arm), q, qd, qdd) - small_logs.OFFSET
+    tau[800:804, 0] += 15.0 * hit  # the controller pushes back
+    tau[820:, 0] += 0.5 * small_logs.COULOMB[0]  # it pushes on, by less than friction holds
+    return Log(q, tau, t, DT)
+
+
+def test_what_stops_a_joint_is_seen_although_friction_holds_what_follows(config, calibration, arm):
+    for level in (1.0, 40.0):  # times the threshold; the second is reached when the joint is slow already
+        gains = calibration.gains.replace({"diagnosis.alpha_tau": level * calibration.gains.diagnosis.alpha_tau})
+        assert not events(config, gains, stopping(arm, hit=False)).events
+        found = events(config, gains, stopping(arm, hit=True)).events
+        assert [(event.joint, event.kind) for event in found] == [(1, "actuator")] and -0.01 < found[0].start_s - 8.0 < 0.1
+
+
 def test_without_torques_the_readings_are_judged(config, calibration, log):
     q = log.q.copy()
     bias(q, None)
