@@ -19,7 +19,7 @@ from jaxftc.logs.clock import order, resample
 from jaxftc.logs.columns import Columns, find
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
-from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, unwrapped
+from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, timing_error, unwrapped
 from jaxftc.logs.stamps import times as stamps
 from jaxftc.logs.text import MISSING
 from jaxftc.robot.arm_table import Arm, Recording
@@ -28,6 +28,7 @@ from jaxftc.robot.model import Robot
 LEAST_ROWS = 100
 FARTHEST, STRONGEST = 1e4, 1e6  # rad and N m that no joint reads
 ANGLES = {"mrad": 1e-3, "turn": 2 * np.pi}  # rad
+UNSURE = 6.0  # standard deviations of the time of a reading
 SLOWER = 2.2  # a sample time this much shorter than the log's own would be made up between its rows
 
 
@@ -139,7 +140,8 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     q, torque = even.values
     if len(q) < LEAST_ROWS:
         raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
-    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=even.jitter)
+    jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right
+    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter)
     if tau is not None and options.check:
         wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
         if wrong and options.faulty:

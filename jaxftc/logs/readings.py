@@ -12,6 +12,7 @@ NEAR = 0.3  # rad, of a whole turn, that still pass as a wrap
 MOST_TURNS = 2  # at once
 BRIEF, BEYOND = 2, 100.0  # rows of one joint with a number that is no angle; rad, where the model has no limits
 STRONG = 20.0  # times the limit, that no torque is
+SLOW = 0.02  # rad/s; slower joints say nothing of the time
 FAR = 20.0  # rad; three turns and more are degrees where the model has no limits
 
 
@@ -70,6 +71,17 @@ def no_torques(tau: np.ndarray, limit: np.ndarray) -> str | None:
         f"torques of joint {j + 1} are {size[j]:.4g} and more in half of the rows, its limit is {limit[j]:.4g} N m: another "
         "unit? Name it in the head, such as tau1 [mNm], or give --torque-per-ampere"
     )
+
+
+def timing_error(q: np.ndarray, dt: float) -> float:
+    """Standard deviation in s of the time at which angles [T, n] were read, every ``dt`` if it is 0.
+
+    A reading that comes late is off by its joint's speed. Fourth differences leave little of the motion itself.
+    """
+    error = np.abs(np.diff(q, 4, axis=0)) / np.sqrt(70)
+    speed = np.abs(q[4:] - q[:-4]) / (4 * dt)
+    moving = speed > SLOW
+    return 1.4826 * float(np.median(error[moving] / speed[moving])) if moving.any() else 0.0
 
 
 def unwrapped(t: np.ndarray, q: np.ndarray, starts: np.ndarray) -> tuple[np.ndarray, list[str]]:

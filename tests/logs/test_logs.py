@@ -10,6 +10,7 @@ import small_logs
 
 from jaxftc import Config, logs
 from jaxftc.io.tables import write_parquet
+from jaxftc.logs.clock import uneven
 from jaxftc.robot.arm_table import Arm, Recording
 
 
@@ -581,12 +582,19 @@ def test_jitter_is_taken_out_with_the_stamps(arm, tmp_path):
     np.testing.assert_allclose(log.q[1:-1], ours[1:-1], atol=3e-4)  # without the stamps it would be 3e-3
 
 
-def test_uneven_stamps_are_known_to_be_uncertain(arm, good, tmp_path):
-    late = good["t"] + np.where((K == 100) | (K == 400), 0.004, 0.0)
-    log = logs.read(small_logs.write(tmp_path / "log.csv", good | {"t": late}), arm)
-    np.testing.assert_allclose(log.jitter[[50, 100, 250, 400]], [0, 0.008, 0, 0.008], atol=1e-6)
-    assert (log.jitter > 0).sum() <= 14
-    assert not logs.read(small_logs.write(tmp_path / "log.csv", good), arm).jitter.any()
+def test_uneven_stamps_are_uncertain_where_the_readings_bear_it_out(arm, tmp_path):
+    t, q, _, _ = small_logs.motion(6, 100, 1)
+    stamps = t + np.random.default_rng(0).uniform(0, 0.006, 600)
+    found = {}
+    for name, at in (("right", stamps), ("wrong", t)):
+        read = np.stack([np.interp(at, t, column) for column in q.T], 1)
+        path = small_logs.write(tmp_path / "log.csv", {"t": stamps} | {f"q{j + 1}": read[:, j] for j in range(3)})
+        found[name] = logs.read(path, arm).jitter
+    assert found["right"].max() < 0.002 and found["wrong"].min() > 0.005
+    late = t + np.where((np.arange(600) == 100) | (np.arange(600) == 400), 0.004, 0.0)
+    apart = uneven(late)
+    np.testing.assert_allclose(apart[[50, 99, 100, 101, 250, 400]], [0, 0.008, 0.008, 0.008, 0, 0.008], atol=1e-9)
+    assert (apart > 0).sum() <= 10 and not uneven(t).any()
 
 
 def test_the_rate_is_the_logs_own_or_the_configs(arm, tmp_path):
