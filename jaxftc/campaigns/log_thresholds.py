@@ -80,6 +80,7 @@ def reading_noise(config: Config, gains: Gains, logs: list[Log]) -> np.ndarray:
 
 def _noise_and_stiction(config: Config, gains: Gains, logs: list[Log]) -> tuple[np.ndarray, np.ndarray]:
     """The noise, and what standing joints may hold by friction [n] N m; of a joint that never moved the usual share."""
+    logs = [log._replace(jitter=None) for log in logs]  # what uneven stamps make of a motion is noise to the observer
     jumps, fastest = [], np.zeros(config.n)
     for _, said in _diagnosed(config, _open(config, gains), logs):
         jumps.append(np.abs(said.jump[..., 0]))
@@ -148,7 +149,7 @@ def _thresholds(config: Config, found: _Peaks, level: _Level) -> dict[str, np.nd
     at_rate = np.broadcast_to(which[None, :, None], (len(found.tau), config.n, 1))
     alpha_tau = scale * level.factor(np.take_along_axis(found.tau, at_rate, 2)[..., 0])
     widest = np.maximum(found.w.max(0), LEAST_JUMP)
-    half_jump = np.maximum(widest * level.factor(found.w), PUSHES * found.psi * config.dt**2)
+    half_jump = np.maximum(widest * level.factor(np.maximum(found.w, LEAST_JUMP)), PUSHES * found.psi * config.dt**2)
     return {
         "diagnosis.alpha_tau": alpha_tau,
         "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),

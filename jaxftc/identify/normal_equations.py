@@ -13,6 +13,7 @@ from jaxftc.robot.model import Robot
 
 MOTOR = ("motor_inertia", "viscous", "coulomb", "coulomb_asymmetry", "offset")  # n each, behind the 10 n of the links
 PARTS, FOLDS = 12, 4  # a stretch is cut into parts, every fourth of which is held out together
+MOVING = 0.01  # rad/s, at which a joint is said to move
 MOST_ROWS = 60_000  # rows that are fitted; more say nothing new
 
 
@@ -52,6 +53,12 @@ class Rows(NamedTuple):
     qdd: np.ndarray  # [T, n] rad/s^2
     torque: np.ndarray  # [T, n] N m
     fold: np.ndarray  # [T]
+
+    @property
+    def one_way(self) -> np.ndarray:
+        """Which joints [n] move in one direction only."""
+        ahead, back = ((sign * self.qd > MOVING).mean(0) for sign in (1, -1))
+        return (np.maximum(ahead, back) > 0.1) & (np.minimum(ahead, back) < 0.02)
 
     def summed(self, width: float) -> Sums:
         """The normal equations, with friction that changes sign over ``width`` rad/s."""

@@ -121,7 +121,8 @@ def dynamics(
 def _width(prior: Prior, data: Rows) -> tuple[float, Sums, np.ndarray]:
     """Width of the friction's tanh, rad/s, the sums with it, and what the logs show of each parameter [p]."""
     choices = [(width, data.summed(width)) for width in WIDTHS]
-    shares = [sums.held_out(fit_folds(prior, sums, 0.3, bodies=False)) for _, sums in choices]
+    bodies = bool(data.one_way.any())  # then friction that drives explains the torque as well, and must not be fitted
+    shares = [sums.held_out(fit_folds(prior, sums, 0.3, bodies=bodies)) for _, sums in choices]
     shown = fit(prior, choices[1][1].without(None), 1.0, bodies=False)[1]
     return *choices[_simplest(shares)], shown
 

@@ -50,7 +50,8 @@ def from_file(robot: Robot, rows: Rows) -> Prior:
         parts.append(mass * np.repeat([1.0, length, length**2], [1, 3, 6]))
     torque, qd, qdd = (np.sqrt((x**2).mean(0)) for x in (rows.torque, rows.qd, rows.qdd))
     size, fast, hard = torque + 1e-9, qd + 1e-3, qdd + 1e-2
-    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, 0.3 * size])
+    offset = np.where(rows.one_way, 1e-4, 0.3) * size  # of one direction friction and an offset are the same: it is friction
+    motor = np.concatenate([size / hard, size / fast, size, 0.005 * size, offset])
     file = _file(robot)
     return Prior(robot, file, np.concatenate([*parts, np.maximum(motor, np.abs(file[10 * robot.n :]))]))
 

@@ -22,6 +22,8 @@ from jaxftc.types import Array
 SAMPLES = 400  # rows looked at
 SLOWEST = 0.5  # the slowest share of the rows, by joint speed
 BAD, BETTER = 0.5, 0.5  # a column is doubted above this share unexplained; a hypothesis is named below this part of all
+LOOK = 0.15  # of all columns together, above which their order is looked at
+SPEED = 0.02  # rad/s, both ways in a tenth of the rows, at which friction is seen
 WEAK = 0.2  # of the torque's spread: gravity that spreads less says nothing about a column
 
 
@@ -57,14 +59,20 @@ def doubts(
     q, qd, tau = q[slow], qd[slow], tau[slow]
     plain = _batch(robot, q, [(np.arange(robot.n), np.ones(robot.n))])[0]
     rest, gain = _unexplained(plain, qd, tau)
-    doubted = [int(j) for j in np.flatnonzero(rest > BAD) if j not in dead]
-    if not doubted:
+    turns = (np.quantile(qd, [0.1, 0.9], axis=0) * [[-1.0], [1.0]] > SPEED).all(0)
+    shows = turns | (plain.std(0) > WEAK * tau.std(0))  # friction changes sign, or gravity changes
+    doubted = [int(j) for j in np.flatnonzero((rest > BAD) & shows) if j not in dead]
+    if not doubted and (rest.mean() < LOOK or not shows.all()):
         return lines, _unit(robot, plain, tau, gain, rest, amperes)
-    ways = _torques(robot, plain, qd, tau, doubted) + _angles(robot, q, qd, tau)
+    ways = _orders(robot, q, qd, tau)
+    if doubted:
+        ways = _torques(robot, plain, qd, tau, doubted) + _angles(robot, q, qd, tau) + ways
     score, name = min(ways, key=lambda way: round(way[0], 2))  # a tie is the torque's: those come first
     if score < BETTER * rest.sum():
         return [*lines, name], []
-    if not amperes and len(doubted) == robot.n:
+    if not doubted:
+        return lines, _unit(robot, plain, tau, gain, rest, amperes)
+    if not amperes and len(doubted) == shows.sum():
         return lines, ["no torque column follows the model's gravity at slow motion; are they torques of this arm?"]
     return lines, []
 
@@ -95,6 +103,12 @@ def _unexplained(held: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> tuple[np.
 def _torques(robot: Robot, held: np.ndarray, qd: np.ndarray, tau: np.ndarray, doubted: list[int]) -> list[tuple[float, str]]:
     """Hypotheses about torque columns, each with what it leaves unexplained."""
     n, names, out = robot.n, robot.joint_names, []
+    if len(doubted) > 1:
+        line = (
+            "the torques of all joints go against gravity and friction at slow motion: their sign is turned round; give "
+            "--columns with a minus before each name (tau1=-NAME)"
+        )
+        out.append((float(_unexplained(held, qd, -tau)[0].sum()), line))
     for j in doubted:
         flipped = _unexplained(held, qd, tau * np.where(np.arange(n) == j, -1, 1))[0].sum()
         line = (
@@ -117,7 +131,11 @@ def _torques(robot: Robot, held: np.ndarray, qd: np.ndarray, tau: np.ndarray, do
 def _angles(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> list[tuple[float, str]]:
     """Hypotheses about angle columns, each with what it leaves unexplained."""
     n, names = robot.n, robot.joint_names
-    ways, lines = [], []
+    ways = [(np.arange(n), -np.ones(n))]
+    lines = [
+        "the angles of all joints make the torques fit when their sign is turned round; give --columns with a minus before "
+        "each name (q1=-NAME)"
+    ]
     for j in range(n):
         ways.append((np.arange(n), np.where(np.arange(n) == j, -1.0, 1.0)))
         lines.append(
@@ -136,6 +154,26 @@ def _angles(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> lis
     return [
         (float(_unexplained(pull, qd[:, order] * sign, tau)[0].sum()), line)
         for pull, (order, sign), line in zip(held, ways, lines, strict=True)
+    ]
+
+
+def _orders(robot: Robot, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> list[tuple[float, str]]:
+    """Hypotheses about joints in another order, angles and torques alike, each with what it leaves unexplained."""
+    n, names = robot.n, robot.joint_names
+    ways = {"the other way round": np.arange(n)[::-1], "in the order of their names": np.argsort(np.argsort(names))}
+    ways |= {f"shifted by {k}": np.roll(np.arange(n), -k) for k in range(1, n)}
+    for j, k in itertools.combinations(range(n), 2):
+        ways[f"with {j + 1} and {k + 1} ({names[j]}, {names[k]}) swapped"] = order = np.arange(n)
+        order[[j, k]] = k, j
+    ways = {name: order for name, order in ways.items() if (order != np.arange(n)).any()}
+    held = _batch(robot, q, [(order, np.ones(n)) for order in ways.values()])
+    return [
+        (
+            float(_unexplained(pull, qd[:, order], tau[:, order])[0].sum()),
+            f"angles and torques fit the model when the joints are taken {name}: joint 1 is number {order[0] + 1} of the "
+            "file, and so on; give --columns in the arm's order",
+        )
+        for pull, (name, order) in zip(held, ways.items(), strict=True)
     ]
 
 

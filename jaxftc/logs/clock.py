@@ -1,4 +1,4 @@
-"""Stamps of a log: their unit, the rate that it was recorded at, gaps, and rows brought to even times."""
+"""Rows of a log in time: the rate that it was recorded at, gaps, and rows brought to even times."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 GAP = 5  # sample times without a row that are bridged by straight lines,
 GAP_SECONDS = 0.02  # or this long, whichever is more; longer ones cut the log
 LEAST_ROWS = 20  # of a segment
+NEAR = 2  # rows before and after, from which it is read how far a row's stamp may be wrong
 RESTART_ROWS = 50  # rows behind a backward stamp that make it a new recording
-UNITS = ((0.2, 1.0, "s"), (200.0, 1e-3, "ms"), (2e5, 1e-6, "us"), (np.inf, 1e-9, "ns"))  # median step below: the unit
 RATES = np.array([2000, 1000, 500, 400, 250, 240, 200, 150, 125, 120, 100, 80, 75, 60, 50, 40, 30, 25, 20, 15, 10.0])  # Hz
 
 
@@ -22,35 +22,6 @@ class Rows(NamedTuple):
     starts: np.ndarray  # places in ``kept`` at which a segment starts
     dt: float  # s, the log's own sample time
     notes: list[str]
-
-
-def seconds(stamps: np.ndarray, unit: float | str | None) -> tuple[np.ndarray, str]:
-    """Stamps as s from the first one, and what was made of their unit; NaN where a stamp is missing.
-
-    Raises:
-        ValueError: text that is no date, or a stamp that never moves.
-    """
-    if stamps.dtype.kind == "O":
-        first = next((s for s in stamps if s is not None and str(s).strip()), "")
-        try:
-            stamps = np.array([str(s).strip().rstrip("Z").replace(",", ".") if s is not None else "NaT" for s in stamps])
-            stamps = stamps.astype("datetime64[ns]")
-        except ValueError as error:
-            raise ValueError(f"must hold the time as numbers or ISO dates, got {first!r}") from error
-    if stamps.dtype.kind == "M":
-        missing = np.isnat(stamps)
-        steps = (stamps - stamps[~missing][0]).astype("timedelta64[ns]").astype(np.int64) * 1e-9
-        return np.where(missing, np.nan, steps), "time is a date"
-    start = stamps[np.isfinite(stamps)]
-    t = (stamps - start[0]).astype(float) if len(start) else stamps.astype(float)  # whole ns have more digits than a float
-    if isinstance(unit, float):
-        return t * unit, ""
-    steps = np.diff(t[np.isfinite(t)])
-    if not (steps > 0).any():
-        raise ValueError(f"must increase from row to row, it is {stamps[0]} throughout")
-    median = float(np.median(steps[steps > 0]))
-    scale, name = next((scale, name) for limit, scale, name in UNITS if median < limit)
-    return t * scale, "" if name == "s" else f"time is in {name}"
 
 
 def own_rate(t: np.ndarray) -> float:
@@ -83,6 +54,9 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
                 f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again"
             )
     t = t[usable]
+    if (np.diff(t) <= 0).all() and np.ptp(t) > 0:
+        usable, t = usable[::-1], t[::-1] - t[-1]
+        notes.append("the rows run backwards in time; turned round")
     dt = own_rate(t)
     restarts = [k for k in np.flatnonzero(np.diff(t) < -10 * dt) + 1 if (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
     restarts = [k for k in restarts if len(t) - k >= RESTART_ROWS]
@@ -128,11 +102,18 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     return Rows(kept[use], t[use], starts, dt, notes)
 
 
-def resample(
-    rows: Rows, values: list[np.ndarray], dt: float
-) -> tuple[np.ndarray, list[np.ndarray], tuple[tuple[int, int], ...]]:
-    """Times, values [T, n] at every ``dt`` by straight lines between the rows, and the segments [start, stop)."""
-    times, out, segments, length = [], [[] for _ in values], [], 0
+class Even(NamedTuple):
+    """Rows at even times."""
+
+    t: np.ndarray  # [T] s
+    values: list[np.ndarray]  # [T, n] each
+    segments: tuple[tuple[int, int], ...]  # [start, stop)
+    jitter: np.ndarray  # [T] s, by which the time between readings may be wrong
+
+
+def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
+    """The rows at every ``dt``, by straight lines between them."""
+    times, out, segments, jitter, length = [], [[] for _ in values], [], [], 0
     for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
         t = rows.t[start:stop]
         ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-3)) + 1  # stamps may be of single precision
@@ -141,7 +122,22 @@ def resample(
         for column, value in zip(out, values, strict=True):
             part = value[start:stop]
             column.append(part if even else np.stack([np.interp(grid, t, c) for c in part.T], axis=1))
+        jitter.append(uneven(t)[np.searchsorted(t, grid).clip(max=len(t) - 1)])
         times.append(grid)
         segments.append((length, length + ticks))
         length += ticks
-    return np.concatenate(times), [np.concatenate(column) for column in out], tuple(segments)
+    joined = [np.concatenate(column) for column in out]
+    return Even(np.concatenate(times), joined, tuple(segments), np.concatenate(jitter))
+
+
+def uneven(t: np.ndarray) -> np.ndarray:
+    """By how much [rows] s the steps of the stamps t [rows] s around each row differ.
+
+    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ, so may the two; where
+    they differ often, so may the two in every row.
+    """
+    steps = np.pad(np.diff(t), NEAR, mode="edge")
+    near = np.lib.stride_tricks.sliding_window_view(steps, 2 * NEAR)
+    apart = np.ptp(near, axis=1)
+    apart = np.maximum(apart, np.quantile(apart, 0.9))
+    return np.where(apart > 1e-3 * np.median(steps), apart, 0.0)

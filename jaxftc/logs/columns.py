@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from jaxftc import checks
+from jaxftc.logs.formats import UNITS
 
 ANGLE = tuple(
     [
@@ -71,9 +72,8 @@ CURRENT = tuple(
     ]
 )
 TIME = ("t", "time", "timestamp", "stamp", "seconds", "headerstamp", "times", "timestamps", "datetime")
-UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9,
-         "deg": "deg", "degrees": "deg", "rad": "rad", "nm": "N m", "a": "A", "ma": "mA"}  # fmt: skip
-_UNIT = re.compile(r"[\s_]*[\[(]\s*([A-Za-z]+)\s*[\])]$|_([A-Za-z]+)$")
+WANTED = re.compile(r"target|desired|command|cmd|goal|reference|setpoint|(^|[^a-z])ref([^a-z]|$)", re.IGNORECASE)
+_UNIT = re.compile(r"[\s_]*[\[(]\s*([A-Za-z°]+)\s*[\])]$|_([A-Za-z]+)$")
 _INDEX = (
     re.compile(r"^(.*?)[\W_]*?(?:joint|j)?[\W_]*(\d+)[\W_]*()$", re.IGNORECASE),  # q1, state.q[0], position_joint_1
     re.compile(r"^(.*?)(?:joint|j|axis|motor)[\W_]*(\d+)[\W_]+(.*)$", re.IGNORECASE),  # joint1_position
@@ -98,19 +98,29 @@ class _Group(NamedTuple):
     path: str  # the word as the file has it
     unit: str | float | None
     columns: dict[str, str]  # joint, or index as text -> column
+    again: dict[str, str]  # the same, of columns that name what an earlier one does
 
 
-def find(names: list[str], joints: tuple[str, ...], given: Mapping[str, str] | None) -> Columns:
+def find(
+    names: list[str], joints: tuple[str, ...], given: Mapping[str, str] | None, below: Mapping[str, str] | None = None
+) -> Columns:
     """The columns of a log.
 
     Args:
         names: All columns of the file.
         joints: The robot's joints.
         given: Our names (t, q1, ..., tau1, ...) and the file's, where the user says them; ``-name`` turns the sign round.
+        below: Units by column that the file has elsewhere than in its names.
 
     Raises:
-        ValueError: no angles can be found, a word has too few joints, or a given column is not there.
+        ValueError: no angles can be found, a word has too few joints, the columns of several arms fit, or a given column is
+            not there.
     """
+
+    def unit_of(column: str) -> str | float | None:
+        unit = _bare(column)[1]
+        return UNITS.get((below or {}).get(column, "").lower()) if unit is None else unit
+
     notes: list[str] = []
     chosen, signs = _given(names, len(joints), given or {})
     groups = _groups(names, joints)
@@ -127,10 +137,10 @@ def find(names: list[str], joints: tuple[str, ...], given: Mapping[str, str] | N
             f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {_listed(names)}; "
             f"say which they are with --columns q1=... to q{n}=..."
         )
-    if time is not None and (unit := _bare(time)[1]) is not None:
+    if time is not None and (unit := unit_of(time)) is not None:
         units["time"] = unit
     for key, columns in (("angle", angle), ("torque", torque or current)):
-        unit = _bare(columns[0])[1] if columns else None
+        unit = unit_of(columns[0]) if columns else None
         if isinstance(unit, str):
             units[key] = unit
     if current is not None:
@@ -188,8 +198,9 @@ def _groups(names: list[str], joints: tuple[str, ...]) -> list[_Group]:
 
     def put(by_name: bool, path: str, key: str, column: str) -> None:
         word, unit = _bare(path)
-        group = groups.setdefault((by_name, path.lower()), _Group(word, path, unit, {}))
-        group.columns.setdefault(key, column)
+        group = groups.setdefault((by_name, path.lower()), _Group(word, path, unit, {}, {}))
+        if group.columns.setdefault(key, column) != column:
+            group.again[key] = column
 
     for name in names:
         body = name.strip()
@@ -217,25 +228,43 @@ def _pick(groups: list[_Group], words: tuple[str, ...], joints: tuple[str, ...],
     short: _Group | None = None
     for match in (lambda group: group.word, lambda group: _last(_strip_unit(group.path))):
         for word in words:
-            for group in groups:
-                if match(group) != word:
-                    continue
-                keys: list[str] = list(joints)
-                if not all(key in group.columns for key in keys):
-                    low = 0 if "0" in group.columns else 1
-                    keys = [str(low + j) for j in range(len(joints))]
-                if all(key in group.columns for key in keys):
-                    more = len(group.columns) - len(joints)
-                    if more > 0:
-                        notes.append(f"{more} columns of {group.path!r} beyond the arm's {len(joints)} joints are left out")
-                    return [group.columns[key] for key in keys]
-                short = short or group
+            there = [group for group in groups if match(group) == word]
+            whole = [(group, keys) for group in there if (keys := _keys(group, joints))]
+            if whole:
+                group, keys = _one(whole)
+                if double := next((key for key in keys if key in group.again), None):
+                    raise ValueError(
+                        f"columns {group.columns[double]!r} and {group.again[double]!r} name one thing; remove one, or say "
+                        "which with --columns"
+                    )
+                more = len(group.columns) - len(joints)
+                if more > 0:
+                    notes.append(f"{more} columns of {group.path!r} beyond the arm's {len(joints)} joints are left out")
+                return [group.columns[key] for key in keys]
+            short = short or next(iter(there), None)
     if short is not None and not set(short.columns) <= {"0", "1"}:
         raise ValueError(
             f"the log must have columns {words[0]}1 to {words[0]}{len(joints)} for the arm's {len(joints)} joints "
             f"({', '.join(joints)}); it has {_listed(list(short.columns.values()))}; say which they are with --columns"
         )
     return None
+
+
+def _keys(group: _Group, joints: tuple[str, ...]) -> list[str] | None:
+    """The joints' names or numbers, as the group has all of them."""
+    low = 0 if "0" in group.columns else 1
+    ways = list(joints), [str(low + j) for j in range(len(joints))]
+    return next((keys for keys in ways if all(key in group.columns for key in keys)), None)
+
+
+def _one(whole: list[tuple[_Group, list[str]]]) -> tuple[_Group, list[str]]:
+    """The one of several groups of a word that was measured; columns by name come before numbered ones."""
+    by_name = [(group, keys) for group, keys in whole if not keys[0].isdigit()] or whole
+    measured = [(group, keys) for group, keys in by_name if not WANTED.search(group.path)] or by_name
+    if len(measured) > 1:
+        first = " and ".join(repr(group.columns[keys[0]]) for group, keys in measured[:2])
+        raise ValueError(f"columns of {len(measured)} arms or topics fit, as {first} say; say which with --columns")
+    return measured[0]
 
 
 def _strip_unit(path: str) -> str:

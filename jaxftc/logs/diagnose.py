@@ -61,6 +61,7 @@ class Stream:
         """
         n, dt = self.config.n, self.config.dt
         q, tau = np.asarray(log.q), np.asarray(log.tau)
+        jitter = np.zeros(len(q)) if log.jitter is None else log.jitter
         for name, value in (("q", q), ("tau", tau)):
             if value.ndim != 2 or value.shape != (len(q), n):
                 raise ValueError(f"log.{name} must be [T, {n}], ticks first, got shape {value.shape}")
@@ -71,11 +72,14 @@ class Stream:
                 self.state = None
             for first in range(start, stop, CHUNK):
                 last = min(first + CHUNK, stop)
-                yield first, self._advance(q[first:last], tau[first:last])
+                yield first, self._advance(q[first:last], tau[first:last], jitter[first:last, None])
 
-    def _advance(self, q: np.ndarray, tau: np.ndarray) -> Diagnosis:
-        signals = [np.full((CHUNK, self.config.n), np.nan, self.dtype) for _ in range(2)]
-        signals[0][: len(q)], signals[1][: len(q)] = q, tau
+    def _advance(self, *rows: np.ndarray) -> Diagnosis:
+        """Diagnosis of angles [T, n], torques [T, n] and jitter [T, 1]."""
+        q = rows[0]
+        signals = [np.full((CHUNK, part.shape[1]), np.nan, self.dtype) for part in rows]
+        for signal, part in zip(signals, rows, strict=True):
+            signal[: len(q)] = part
         if self.state is None:
             at = np.where(np.isfinite(signals[0][0]), signals[0][0], 0.0).astype(self.dtype)
             at = np.broadcast_to(at.reshape(-1, *[1] * len(self.swept)), (self.config.n, *self.swept))
@@ -84,16 +88,18 @@ class Stream:
         return jax.tree.map(lambda leaf: np.asarray(leaf[: len(q)]), said)
 
 
-def _scan(config: Config, gains: Gains, state: Any, count: Any, q: Any, tau: Any) -> tuple[Any, Diagnosis]:
+def _scan(config: Config, gains: Gains, state: Any, count: Any, *rows: Any) -> tuple[Any, Diagnosis]:
     """The first ``count`` of the rows; the state stays what it is in the others, which fill the program up."""
 
     def body(state: Any, row: Any) -> tuple[Any, Diagnosis]:
         k, *signals = row
-        signals = [jnp.broadcast_to(x.reshape(-1, *[1] * (state.q.ndim - 1)), state.q.shape) for x in signals]
+        signals = [
+            jnp.broadcast_to(x.reshape(-1, *[1] * (state.q.ndim - 1)), state.q.shape) for x in signals
+        ]  # joints first
         after, said = diagnoser.step(config, gains, state, Measurement(*signals))
         return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), after, state), said
 
-    return jax.lax.scan(body, state, (jnp.arange(len(q)), q, tau))
+    return jax.lax.scan(body, state, (jnp.arange(len(rows[0])), *rows))
 
 
 _run = jit(_scan, static_argnums=0)

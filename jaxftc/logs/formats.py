@@ -6,7 +6,9 @@ A reader takes a path and returns a ``Table``. Nothing is interpreted there: nam
 from __future__ import annotations
 
 import importlib
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +26,12 @@ READERS = {  # suffix: module
     "": "rosbag",  # a folder, as ros2 bag writes it
 }
 
+UNITS = {
+    "s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9, "min": 60.0,
+    "h": 3600.0, "deg": "deg", "degrees": "deg", "°": "deg", "mrad": "mrad", "rev": "turn", "turns": "turn", "rad": "rad",
+    "nm": "N m", "mnm": "mN m", "a": "A", "ma": "mA",
+}  # fmt: skip
+
 
 class Table(NamedTuple):
     """Columns of equal length, in the order of the file; numbers, stamps, or text that may hold either."""
@@ -31,6 +39,7 @@ class Table(NamedTuple):
     columns: dict[str, np.ndarray]  # name -> [rows]
     notes: tuple[str, ...] = ()  # what a user should know about the file, one line each
     named: bool = True  # the file names its columns
+    units: Mapping[str, str] = MappingProxyType({})  # column -> unit, where the file has a row of them
 
 
 def table(path: Path) -> Table:

@@ -32,6 +32,7 @@ class Log(NamedTuple):
     segments: tuple[tuple[int, int], ...] = ()  # [start, stop) of stretches without a gap; none: all is one stretch
     notes: tuple[str, ...] = ()  # what was found and repaired in the file, one line each
     unit: str = "N m"  # of tau; "A" where currents were recorded and the torque for one is not known
+    jitter: np.ndarray | None = None  # [T] s, by which the time between readings may be wrong; None: by nothing
 
     @property
     def stretches(self) -> tuple[tuple[int, int], ...]:

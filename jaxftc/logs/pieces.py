@@ -59,7 +59,8 @@ def pieces(
                 turns = 2 * np.pi * np.round((last.q[-1] - log.q[0]) / (2 * np.pi))
                 log = log._replace(q=log.q + turns)
             whole = len(log.stretches) == 1 and first + PIECE < count
-            kept = log._replace(q=log.q[:-1], tau=log.tau[:-1], t=None if log.t is None else log.t[:-1], segments=())
+            t, jitter = (None if part is None else part[:-1] for part in (log.t, log.jitter))
+            kept = log._replace(q=log.q[:-1], tau=log.tau[:-1], t=t, jitter=jitter, segments=())
             yield (kept if whole else log), begins, last is not None and len(last.stretches) == 1
             begins += float(log.t[-1]) if log.t is not None else len(log.q) * config.dt
             last = log

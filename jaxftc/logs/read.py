@@ -1,11 +1,11 @@
 """A log from a file: columns found, time put in order, readings repaired, all of it said; what cannot be is refused.
 
-``formats`` has the files, ``columns`` the names, ``clock`` the time, ``readings`` the angles, ``against_model`` the torques.
+``formats`` has the files, ``columns`` the names, ``stamps`` and ``clock`` the time, ``readings`` the angles,
+``against_model`` the torques.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,17 +15,20 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.logs.against_model import doubts
-from jaxftc.logs.clock import order, resample, seconds
+from jaxftc.logs.clock import order, resample
 from jaxftc.logs.columns import Columns, find
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
-from jaxftc.logs.readings import in_degrees, other_rows, unwrapped
+from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, timing_error, unwrapped
+from jaxftc.logs.stamps import times as stamps
 from jaxftc.logs.text import MISSING
 from jaxftc.robot.arm_table import Arm, Recording
 from jaxftc.robot.model import Robot
 
 LEAST_ROWS = 100
 FARTHEST, STRONGEST = 1e4, 1e6  # rad and N m that no joint reads
+ANGLES = {"mrad": 1e-3, "turn": 2 * np.pi}  # rad
+UNSURE = 6.0  # standard deviations of the time of a reading
 SLOWER = 2.2  # a sample time this much shorter than the log's own would be made up between its rows
 
 
@@ -101,30 +104,30 @@ def _recorded_columns(recording: Recording, table: Table) -> dict[str, str] | No
 
 
 def _log(table: Table, robot: Robot, recording: Recording, options: _Options) -> Log:
-    found = find(list(table.columns), robot.joint_names, options.columns)
+    found = find(list(table.columns), robot.joint_names, options.columns, table.units)
     notes, unit = [*table.notes, *found.notes], "N m"
     q = _numbers(table, found, found.angle, "rad")
     tau = _numbers(table, found, found.torque, "N m") if found.torque else None
-    t, whole = _time(table, found, options.dt, len(q), notes), np.asarray(np.isfinite(q).all(1))
     if tau is None:
         notes.append("the file has no torques: readings alone are judged; torques and the model cannot be")
     else:
-        whole &= np.asarray(np.isfinite(tau).all(1))
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
+    q = _angles(robot, q, found, options, notes)
+    t = stamps(table, found, options.dt, q, notes)
+    whole = np.isfinite(q).all(1) & (True if tau is None else np.isfinite(tau).all(1))
     rows = order(t, whole)
     notes += rows.notes
     q, tau = q[rows.kept], None if tau is None else tau[rows.kept]
-    why = "its columns say so" if found.units.get("angle") == "deg" else in_degrees(robot, q)
-    if options.degrees or (options.degrees is None and why):
-        notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
-        q = np.deg2rad(q)
     _absurd(found.angle, q, rows.kept, FARTHEST, "rad, no angle of a joint")
     if tau is not None and found.torque:
         _absurd(found.torque, tau, rows.kept, STRONGEST, "N m, no torque of a joint")
     q, said = unwrapped(rows.t, q, rows.starts)
     notes += said
-    strange = options.check and other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
+    strange = options.check and (
+        (tau is not None and no_torques(tau, robot.torque_limit))
+        or other_rows(rows.t, q, tau, rows.kept, robot.torque_limit)
+    )
     if strange:
         raise ValueError(strange)
     step = options.wanted or rows.dt
@@ -133,16 +136,19 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
             f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
             f"what lies between its rows is not known, so take dt = {rows.dt:g}"
         )
-    times, (q, torque), segments = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
-    if len(times) < LEAST_ROWS:
-        raise ValueError(f"the log has {len(times)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
-    log = Log(q, torque, times, step, segments, unit=unit)
+    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
+    q, torque = even.values
+    if len(q) < LEAST_ROWS:
+        raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
+    jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right
+    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter)
     if tau is not None and options.check:
         wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
         if wrong and options.faulty:
             notes.append(f"{'; '.join(wrong)}, unless that is the fault")
         elif wrong:
-            raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are)")
+            before = f"; found before: {'; '.join(rows.notes)}" if rows.notes else ""
+            raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are){before}")
         notes += noticed
     return log._replace(notes=tuple(notes))
 
@@ -182,27 +188,30 @@ def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
     return out
 
 
-def _time(table: Table, found: Columns, dt: float | None, rows: int, notes: list[str]) -> np.ndarray:
-    if found.time is not None:
-        try:
-            t, said = seconds(table.columns[found.time], found.units.get("time"))
-        except ValueError as error:
-            raise ValueError(f"column {found.time!r} {error}") from error
-        notes += [said] if said else []
-        return t
-    parts = {re.sub(r"[\W_]", "", name.lower()): name for name in table.columns}
-    whole = next((name for key, name in parts.items() if key.endswith(("stampsec", "stampsecs"))), None)
-    rest = next((name for key, name in parts.items() if key.endswith(("stampnanosec", "stampnsec", "stampnsecs"))), None)
-    if whole and rest:
-        start = table.columns[whole].astype(float)
-        return start - start[0] + 1e-9 * table.columns[rest].astype(float)
-    if dt is None:
-        raise ValueError(
-            f"no column of time (t, time, timestamp, ...) among {', '.join(list(table.columns)[:20])}; say which it is with "
-            "--columns t=NAME, or give the sample time with --dt"
+def _angles(robot: Robot, q: np.ndarray, found: Columns, options: _Options, notes: list[str]) -> np.ndarray:
+    """Angles [rows, n] in rad; NaN where a number stands for a reading that was lost.
+
+    Raises:
+        ValueError: they cannot be angles.
+    """
+    unit = str(found.units.get("angle", ""))
+    why = "its columns say so" if unit == "deg" else None if unit else in_degrees(robot, q)
+    if options.degrees or (options.degrees is None and why):
+        notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
+        q = np.deg2rad(q)
+    elif unit in ANGLES:
+        notes.append(f"angles are in {unit}, as their columns say; turned into rad")
+        q = ANGLES[unit] * q
+    lost = no_readings(robot, q) if options.check else np.zeros(q.shape, bool)
+    if lost.any():
+        row, j = np.argwhere(lost)[0]
+        notes.append(
+            f"{lost.sum()} numbers are no angle and taken as missing, the first is {q[row, j]:.6g} in row {row + 1}"
         )
-    notes.append(f"no column of time: rows are {1e3 * dt:g} ms apart, as given")
-    return dt * np.arange(rows)
+        q = np.where(lost, np.nan, q)
+    if options.check and (wrong := no_angles(robot, q)):
+        raise ValueError(wrong)
+    return q
 
 
 def _torque(
@@ -215,7 +224,7 @@ def _torque(
 ) -> tuple[np.ndarray, str]:
     """Torques [rows, n] with the gain and offset that are known, and their unit."""
     current = found.units.get("torque") in ("A", "mA")
-    if found.units.get("torque") == "mA":
+    if found.units.get("torque") in ("mA", "mN m"):
         tau = 1e-3 * tau
     gain = recording.torque_gain if torque_per_ampere is None else torque_per_ampere
     if gain is not None:

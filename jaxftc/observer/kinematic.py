@@ -7,7 +7,8 @@ somebody else's controller, whose torque is known no better than the friction th
 A reading is judged by w, what the expected acceleration leaves unexplained of its speed. A jump goes to the encoder fault b.
 A healthy recording has more in it than noise, and none of this is a jump:
 
-* a row that was stamped wrong moves every reading along its own speed: ``_slip`` takes from w what the other joints say;
+* a row that was stamped wrong moves every reading along its own speed: ``_slip`` takes from w what the other joints say,
+  and where the log's stamps are uneven, w counts beyond what they can have done;
 * a reading that comes late, and is right again: its w is twice as large when it returns. The innovation, which knows the
   motion before it, is not: w counts as far as both agree;
 * a reading that is an outlier: the first of a jump is set aside, for ``HELD`` ticks at most. It was a jump if the next one
@@ -74,6 +75,7 @@ class Inputs(NamedTuple):
     q: Array  # [n, ...] rad, encoder
     alarmed_q: Array  # [n, ...] bool, the encoder alarm is up
     alarmed_tau: Array  # [n, ...] bool, the torque alarm is up
+    jitter: Array | float = 0.0  # [n, ...] s, by which the time between readings may be wrong
 
 
 class Estimate(NamedTuple):
@@ -111,6 +113,9 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     shift = jnp.where(back, e, 0.0)  # the motion that it had was not the one it made
 
     w = _slip(config, _unexplained(config, state, y - state.b), state.qd)
+    speed = jnp.maximum(jnp.abs(state.qd), jnp.abs(state.mean_speed))  # uneven readings make the first one restless
+    late = 2 * inputs.jitter * speed  # w is a difference of two steps
+    w = jnp.sign(w) * jnp.maximum(jnp.abs(w) - late, 0.0)
     known = jnp.where(missing | back, 0.0, state.known + dt)
     w = jnp.where((w * e > 0) & (known > SETTLE), jnp.sign(w) * jnp.minimum(jnp.abs(w), jnp.abs(e)), 0.0)
     h_s = takagi_sugeno.jump_share(w, own.jump, own.jump_centres, own.jump_widths)

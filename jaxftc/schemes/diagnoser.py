@@ -47,6 +47,7 @@ class State(NamedTuple):
     residual: momentum.Observer
     tau: Array  # [n, ...] N m, last torque; not finite where it was not known
     offset: Array  # [n, ...] N m, part of the residual that friction holds
+    carried: Array  # [n, ...] N m, what the residual exceeded friction by when the joint slowed down, as far as it remembers
     slow: Array  # [n, ...] s since the joint came to rest, or turned round
     age: Array  # [n, ...] ticks since the torque residual began
     statistics: statistics.State
@@ -81,6 +82,7 @@ class Measurement(NamedTuple):
 
     q: Array  # [n, ...] rad, encoder; not finite where there is no reading
     tau: Array  # [n, ...] N m, torque at this reading, measured or commanded; not finite where it is not known
+    jitter: Array | float = 0.0  # [n, ...] s, by which the time between readings may be wrong
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -91,6 +93,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         residual=momentum.Observer(zero, *momentum.momentum(config.robot, q, zero)),
         tau=jnp.full_like(q, jnp.nan),
         offset=zero,
+        carried=zero,
         slow=zero,
         age=zero,
         statistics=statistics.init(config, gains, q),
@@ -101,10 +104,10 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 
 def step(config: Config, gains: Gains, state: State, measurement: Measurement) -> tuple[State, Diagnosis]:
     """One tick: pure, jit-able, vmap-able."""
-    reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0)
+    reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0, measurement.jitter)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
     residual, age = _balance(config, gains, state, seen, measurement.tau)
-    offset, slow = _offset(config, gains, state, residual.r, seen.qd_hat)
+    offset, carried, slow = _offset(config, gains, state, residual.r, seen.qd_hat)
     settled = age * config.dt >= SETTLE
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
     means, statistic = statistics.step(config, gains, state.statistics, watched)
@@ -130,7 +133,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         q_hat=seen.q_hat,
         qd_hat=seen.qd_hat,
     )
-    return State(tracker, residual, measurement.tau, offset, slow, age, means, motion, alarms_next), said
+    return State(tracker, residual, measurement.tau, offset, carried, slow, age, means, motion, alarms_next), said
 
 
 def _balance(
@@ -173,18 +176,22 @@ def _motion(config: Config, gains: Gains, state: State, seen: kinematic.Estimate
     )
 
 
-def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array]:
-    """What friction holds of the residual r [n, ...] N m at speeds qd [n, ...] rad/s, and how long the joint has been slow.
+def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> tuple[Array, Array, Array]:
+    """What friction holds of the residual r [n, ...] N m at speeds qd [n, ...] rad/s, what is carried, and the time of rest.
 
     For a while after a joint has come to rest, any torque up to ``diagnosis.stiction``; then what it held, and slow
     changes of it. It dies out as the residual does once the joint moves. While there is an alarm it stays.
+
+    The residual is a mean of the past, so that what it had when the joint slowed down is carried on. Friction explains what
+    comes to it afterwards, and not the impact that stopped the joint.
     """
     own, dt = gains.diagnosis.stiction, config.dt
-    slow = jnp.where(jnp.abs(qd) < SLOW, state.slow + dt, 0.0)
-    held = jnp.clip(state.offset + jnp.where(slow < OFFSET, 1.0, dt / OFFSET) * (r - state.offset), -own, own)
-    moving = state.offset * jnp.exp(-gains.diagnosis.rate * dt)
-    offset = jnp.where(slow > 0, held, moving)
-    return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), slow
+    slow, fade = jnp.where(jnp.abs(qd) < SLOW, state.slow + dt, 0.0), jnp.exp(-gains.diagnosis.rate * dt)
+    carried = jnp.where(slow > 0, fade * state.carried, r - fade * state.offset)
+    gain = jnp.where(slow < OFFSET, 1.0, dt / OFFSET)
+    held = jnp.clip(state.offset + gain * (r - carried - state.offset), -own, own)
+    offset = jnp.where(slow > 0, held, fade * state.offset)
+    return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), carried, slow
 
 
 def stiction(robot: Robot) -> tuple[np.ndarray, np.ndarray]:

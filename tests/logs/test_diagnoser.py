@@ -160,6 +160,24 @@ def test_a_row_that_was_stamped_wrong_is_no_fault(config, calibration, log):
     assert verdict[ON] == jaxftc.Verdict.NORMAL and verdict[ON + 1] == jaxftc.Verdict.SENSOR
 
 
+def test_rows_that_were_written_late_are_no_fault(config, calibration, tmp_path):
+    """A recorder polls, at uneven times, what the robot refreshes every 8 ms; one joint moves, so no other one says so."""
+    rng = np.random.default_rng(4)
+    t = np.cumsum(np.r_[0.0, rng.uniform(0.006, 0.014, 1199)])
+    q = np.tile([0.2, -0.6, 0.9], (1200, 1)) + 1e-5 * rng.standard_normal((1200, 3))
+    q[:, 1] += 0.1 * np.floor(t / 0.008) * 0.008
+    columns = {"t": t} | {f"q{j + 1}": q[:, j] for j in range(3)}
+    log = logs.read(small_logs.write(tmp_path / "polled.csv", columns), config)
+    assert log.jitter.min() > 0.002 and log.jitter.max() < 0.01
+    verdict = logs.diagnose(config, calibration.gains, log).verdict
+    assert not (verdict & jaxftc.Verdict.SENSOR).any()
+    on = log.t > 6.0
+    assert (logs.diagnose(config, calibration.gains, log._replace(jitter=None)).verdict[:, 1] & jaxftc.Verdict.SENSOR).any()
+    faulty = log._replace(q=log.q + np.deg2rad(1.0) * np.outer(on, [0, 1, 0]))
+    verdict = logs.diagnose(config, calibration.gains, faulty).verdict
+    assert not verdict[~on].any() and (verdict[on][2:] & jaxftc.Verdict.SENSOR == [0, jaxftc.Verdict.SENSOR, 0]).all()
+
+
 @pytest.mark.parametrize("back", [1, 2])
 def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
     """It is off for a tick, or to one side and then to the other, and right again."""
@@ -170,6 +188,28 @@ def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
     assert np.abs(said.jump[ON, 1]) > 0.02 and not said.verdict.any()
     healthy = logs.diagnose(config, calibration.gains, log)
     np.testing.assert_allclose(said.q_hat[ON + 30 :], healthy.q_hat[ON + 30 :], atol=1e-3)
+
+
+def stopping(arm, hit):
+    """The first joint goes at 0.1 rad/s and stops within 50 ms: by its motor, or because it runs into something."""
+    t = DT * np.arange(1200)
+    shape = np.clip((t - 2.0) / 0.5, 0, 1) - np.clip((t - 8.0) / 0.05, 0, 1)
+    qd = np.outer(0.1 * shape, [1, 0, 0])
+    q = np.cumsum(qd, axis=0) * DT + [0.2, -0.6, 0.9]
+    qdd = np.gradient(qd, DT, axis=0)
+    qdd[700:, 0] *= not hit
+    tau = small_logs.torque(arm_file(arm), q, qd, qdd) - small_logs.OFFSET
+    tau[800:804, 0] += 15.0 * hit  # the controller pushes back
+    tau[820:, 0] += 0.5 * small_logs.COULOMB[0]  # it pushes on, by less than friction holds
+    return Log(q, tau, t, DT)
+
+
+def test_what_stops_a_joint_is_seen_although_friction_holds_what_follows(config, calibration, arm):
+    for level in (1.0, 40.0):  # times the threshold; the second is reached when the joint is slow already
+        gains = calibration.gains.replace({"diagnosis.alpha_tau": level * calibration.gains.diagnosis.alpha_tau})
+        assert not events(config, gains, stopping(arm, hit=False)).events
+        found = events(config, gains, stopping(arm, hit=True)).events
+        assert [(event.joint, event.kind) for event in found] == [(1, "actuator")] and -0.01 < found[0].start_s - 8.0 < 0.1
 
 
 def test_without_torques_the_readings_are_judged(config, calibration, log):

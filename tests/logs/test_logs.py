@@ -10,6 +10,7 @@ import small_logs
 
 from jaxftc import Config, logs
 from jaxftc.io.tables import write_parquet
+from jaxftc.logs.clock import uneven
 from jaxftc.robot.arm_table import Arm, Recording
 
 
@@ -111,7 +112,72 @@ WRITTEN = {
     "the last line cut short": lambda path, table: path.write_text(small_logs.write(path, table).read_text() + "6.0,0.1,0."),
     "a stamp twice": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[100]) for k, v in table.items()}),
     "a row again": lambda path, table: small_logs.write(path, {k: np.insert(v, 100, v[90]) for k, v in table.items()}),
+    "each row twice": lambda path, table: small_logs.write(path, {k: np.repeat(v, 2) for k, v in table.items()}),
+    "rows backwards": lambda path, table: small_logs.write(path, {k: v[::-1] for k, v in table.items()}),
+    "ten million seconds on": lambda path, table: small_logs.write(path, table | {"t": 1e7 + table["t"]}),
+    "single precision, a day on": lambda path, table: small_logs.write(
+        path, table | {"t": np.float32(1e5 + table["t"]).astype(float)}
+    ),
+    "single precision, ten million seconds on": lambda path, table: small_logs.write(
+        path, table | {"t": np.float32(1e7 + table["t"]).astype(float)}
+    ),
+    "whole seconds": lambda path, table: small_logs.write(path, table | {"t": np.floor(table["t"] + 1e-9)}),
+    "stamps of two rows each": lambda path, table: small_logs.write(
+        path, table | {"t": np.floor(50 * table["t"] + 0.1) / 50}
+    ),
+    "times of the day, over midnight": lambda path, table: small_logs.write(
+        path, table | {"t": [f"{h:02d}:{m:02d}:{s:09.6f}" for h, m, s in map(clock, 86398 + table["t"])]}
+    ),
+    "dates of another form, decimal comma": lambda path, table: small_logs.write(
+        path, table | {"t": [f"31/01/2026 00:00:{t:09.6f}".replace(".", ",") for t in table["t"]]}, ";"
+    ),
+    "dates with a zone": lambda path, table: small_logs.write(
+        path, table | {"t": [f"2026-01-31T00:00:{t:09.6f}+01:00" for t in table["t"]]}
+    ),
+    "minutes in the name": lambda path, table: small_logs.write(
+        path, {"t [min]": table["t"] / 60} | {k: v for k, v in table.items() if k != "t"}
+    ),
+    "milliradians in the name": lambda path, table: small_logs.write(
+        path, our({k: 1e3 * v if k[0] == "q" else v for k, v in table.items()}, q="q{} [mrad]")
+    ),
+    "turns in the name": lambda path, table: small_logs.write(
+        path, our({k: v / (2 * np.pi) if k[0] == "q" else v for k, v in table.items()}, q="position_{} (rev)")
+    ),
+    "a row of units": lambda path, table: path.write_text(
+        below_head(
+            small_logs.write(path, {k: np.rad2deg(v) if k[0] == "q" else v for k, v in table.items()}),
+            "[s],[deg],[deg],[deg],[Nm],[Nm],[Nm]",
+        )
+    ),
+    "a title before the table": lambda path, table: path.write_text(
+        "Recording 7, arm of the lab\nmade by hand\n\n" + small_logs.write(path, table).read_text()
+    ),
+    "the head again": lambda path, table: path.write_text(below_head(small_logs.write(path, table), ",".join(table))),
+    "rows counted in a column without a name": lambda path, table: path.write_text(
+        counted(small_logs.write(path, table, " ").read_text())
+    ),
+    "what was wanted beside what was measured": lambda path, table: small_logs.write(
+        path,
+        {"t": table["t"]}
+        | by_name({k: v + 1 for k, v in table.items()}, "/joint_command/{joint}/{word}", ("position", "effort"))
+        | by_name(table, "/joint_states/{joint}/{word}", ("position", "effort")),
+    ),
 }
+
+
+def clock(t):
+    """Hours, minutes and seconds of the day."""
+    return int(t // 3600) % 24, int(t // 60) % 60, t % 60
+
+
+def below_head(path, line):
+    head, rest = path.read_text().split("\n", 1)
+    return f"{head}\n{line}\n{rest}"
+
+
+def counted(text):
+    head, *lines = text.splitlines()
+    return "\n".join([head, *(f"{k} {line}" for k, line in enumerate(lines, start=1))])
 
 
 @pytest.mark.parametrize("way", WRITTEN)
@@ -255,7 +321,7 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
         "column 't' must increase from row to row, it is 0.0 throughout",
     ),
     "rows in no order": (lambda t: rows(t, np.random.default_rng(0).permutation(600)), "rows, the first is row"),
-    "time backwards": (lambda t: t | {"t": t["t"][::-1]}, "must increase from row to row"),
+    "time backwards": (lambda t: t | {"t": t["t"][::-1]}, "found before: the rows run backwards in time; turned round"),
     "only gaps": (
         lambda t: t | {"t": t["t"] + 10.0 * (K // 10)},
         "no stretch of 20 rows is without a gap of more than 0.05 s",
@@ -306,6 +372,45 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
     ),
     "a sample time of 0": (lambda t: t, "dt must be a positive, finite number of seconds", {"dt": 0.0}),
     "the same name twice": (lambda t: {**t, " q1": t["q1"]}, "two columns are named 'q1'"),
+    "two names for one thing": (lambda t: {**t, "Q_2": t["q1"]}, "columns 'q2' and 'Q_2' name one thing"),
+    "two arms": (
+        lambda t: (
+            {"t": t["t"]}
+            | by_name(t, "left_{joint}/{word}", ("position", "effort"))
+            | by_name(t, "right_{joint}/{word}", ("position", "effort"))
+        ),
+        "columns of 2 arms or topics fit, as 'left_pan/position' and 'right_pan/position' say",
+    ),
+    "counts": (
+        lambda t: {k: np.round((v + np.pi) * 4096 / 6.2832) if k[0] == "q" else v for k, v in t.items()},
+        "in half of the rows, its range ends at 3.1 rad: counts, milliradians, or the motor's side of the gear?",
+    ),
+    "milliradians": (lambda t: {k: 1e3 * v if k[0] == "q" else v for k, v in t.items()}, "angles of joint 1 (pan) are"),
+    "millinewtonmetres": (
+        lambda t: {k: 1e3 * v if k[:3] == "tau" else v for k, v in t.items()},
+        "in half of the rows, its limit is 80 N m: another unit?",
+    ),
+    "days": (lambda t: t | {"t": 45000 + t["t"] / 86400}, "rad/s; name the unit of time in the head, such as t [min]"),
+    "a time that stands, as text": (
+        lambda t: t | {"t": ["12:00:00"] * 600},
+        "it is 43200.0 throughout; without it, --dt gives",
+    ),
+    "all torques turned round": (
+        lambda t: {k: -v if k[:3] == "tau" else v for k, v in t.items()},
+        "the torques of all joints go against gravity and friction at slow motion",
+    ),
+    "all angles turned round": (
+        lambda t: {k: -v if k[0] == "q" else v for k, v in t.items()},
+        "the angles of all joints make the torques fit when their sign is turned round",
+    ),
+    "two joints swapped": (
+        lambda t: t | {"q2": t["q3"], "q3": t["q2"], "tau2": t["tau3"], "tau3": t["tau2"]},
+        "when the joints are taken with 2 and 3 (shoulder_joint, elbow_joint) swapped",
+    ),
+    "joints shifted": (
+        lambda t: t | {f"{w}{j % 3 + 1}": t[f"{w}{(j + 1) % 3 + 1}"] for w in ("q", "tau") for j in range(3)},
+        "when the joints are taken shifted by 2: joint 1 is number 3 of the file",
+    ),
 }
 
 
@@ -326,6 +431,11 @@ FILES = {
     "comments only": ("log.csv", b"# t,q1\n", "the file has no rows"),
     "a head only": ("log.csv", b"t,q1,q2\n", "the file has a head and no rows"),
     "no head": ("log.csv", b"0,1,2\n1,2,3\n", "it has column 1, column 2, column 3"),
+    "decimal commas between commas": (
+        "log.csv",
+        b"t,q1,q2\n0,0,1,5,2,5\n0,1,1,6,2,5\n",
+        "line 2 has 6 columns, the head has 3; mend or remove that line; are these decimal commas?",
+    ),
     "a row of another length": ("log.csv", b"t,q1,q2\n0,1,2\n1,2\n3,4,5\n", "line 3 has 2 columns, the head has 3"),
     "text as Parquet": ("log.parquet", b"t,q1\n0,1\n", "cannot read"),
     "text as a bag": ("log.db3", b"t,q1\n0,1\n", "is it a rosbag2 file?"),
@@ -372,6 +482,24 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
     "hollow cells": (
         lambda t: t | {"q2": np.where(K == 9, np.nan, t["q2"])},
         "1 rows with a missing value left out, the first is row 10",
+    ),
+    "a block of hollow cells": (
+        lambda t: t | {"tau2": np.where((K > 200) & (K < 300), np.nan, t["tau2"])},
+        "cut into 2 segments at gaps of more than 50 ms, after t = 2 s",
+    ),
+    "a number for what was lost": (
+        lambda t: t | {"q2": np.where(K == 9, -999.0, t["q2"])},
+        "1 numbers are no angle and taken as missing, the first is -999 in row 10",
+    ),
+    "rows backwards": (lambda t: {k: v[::-1] for k, v in t.items()}, "the rows run backwards in time; turned round"),
+    "coarse stamps": (
+        lambda t: t | {"t": np.floor(t["t"] + 1e-9)},
+        "stamps are 1 s coarse; rows are taken 10 ms apart, as they are on average",
+    ),
+    "a time that stands but a sample time": (
+        lambda t: t | {"t": np.zeros(600)},
+        "it is 0.0 throughout; rows are 10 ms apart, as given",
+        {"dt": 0.01},
     ),
     "empty cells": (
         lambda t: t | {"q2": cells(t["q2"], r5="", r6="NA")},
@@ -427,6 +555,14 @@ def test_a_good_log_says_nothing(arm, good, tmp_path):
     same(logs.read(tmp_path / "log.parquet", arm), good)
 
 
+def test_torques_that_show_nothing_are_not_doubted(arm, tmp_path):
+    """One joint that goes one way at one speed, the others standing: friction alone, no gravity that changes."""
+    rng, t = np.random.default_rng(0), np.arange(600) / 100
+    table = {"t": t, "q1": 0.1 * t, "q2": 0 * t - 0.6, "q3": 0 * t + 0.9}
+    table |= {f"tau{j}": level + 0.5 * rng.standard_normal(600) for j, level in ((1, 5.0), (2, -12.0), (3, -3.0))}
+    assert logs.read(small_logs.write(tmp_path / "log.csv", table), arm).notes == ()
+
+
 def test_segments_do_not_touch(arm, good, tmp_path):
     log = logs.read(small_logs.write(tmp_path / "log.csv", gap(good, 100, 150)), arm)
     assert log.stretches == ((0, 100), (100, 550)) and abs(log.t[100] - 1.5) < 1e-9
@@ -446,9 +582,24 @@ def test_jitter_is_taken_out_with_the_stamps(arm, tmp_path):
     np.testing.assert_allclose(log.q[1:-1], ours[1:-1], atol=3e-4)  # without the stamps it would be 3e-3
 
 
+def test_uneven_stamps_are_uncertain_where_the_readings_bear_it_out(arm, tmp_path):
+    t, q, _, _ = small_logs.motion(6, 100, 1)
+    stamps = t + np.random.default_rng(0).uniform(0, 0.006, 600)
+    found = {}
+    for name, at in (("right", stamps), ("wrong", t)):
+        read = np.stack([np.interp(at, t, column) for column in q.T], 1)
+        path = small_logs.write(tmp_path / "log.csv", {"t": stamps} | {f"q{j + 1}": read[:, j] for j in range(3)})
+        found[name] = logs.read(path, arm).jitter
+    assert found["right"].max() < 0.002 and found["wrong"].min() > 0.005
+    late = t + np.where((np.arange(600) == 100) | (np.arange(600) == 400), 0.004, 0.0)
+    apart = uneven(late)
+    np.testing.assert_allclose(apart[[50, 99, 100, 101, 250, 400]], [0, 0.008, 0.008, 0.008, 0, 0.008], atol=1e-9)
+    assert (apart > 0).sum() <= 10 and not uneven(t).any()
+
+
 def test_the_rate_is_the_logs_own_or_the_configs(arm, tmp_path):
-    for rate, dt in ((125, 0.008), (500, 0.002), (30, 1 / 30), (90.9, 0.011)):
-        path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, seconds=8, rate=rate))
+    for rate, dt in ((125, 0.008), (500, 0.002), (30, 1 / 30), (90.9, 0.011), (4, 0.25)):  # 0.25 is not taken for ms
+        path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, seconds=8 + 120 / rate, rate=rate))
         assert logs.read(path, arm).dt == pytest.approx(dt, rel=1e-3)
     path = small_logs.write(tmp_path / "log.csv", small_logs.table(arm, rate=125))
     assert logs.read(path, Config(arm, dt=0.01, t_final=1.0)).dt == 0.01

@@ -110,6 +110,23 @@ def test_what_the_motions_do_not_show_stays(arm, recorded):
     assert np.isfinite(model.held_out.after).all()
 
 
+def test_of_one_direction_friction_is_found_and_no_offset(arm):
+    """Both push alike; that of a sensor is small, and it would be taken for the torque of a joint that stands."""
+    rng, found = np.random.default_rng(5), []
+    for speed in (0.02, 0.05, 0.1):
+        t = 0.01 * np.arange(1500)
+        q = np.outer(speed * t, [1, 0, 0]) + np.array([0.0, -0.6, 0.9])
+        qd = np.tile([speed, 0, 0], (1500, 1))
+        tau = small_logs.torque(arm, q, qd, 0 * q) - small_logs.OFFSET + 0.1 * rng.standard_normal(q.shape)
+        tau[:, 0] = 3.0 + 0.1 * rng.standard_normal(1500)
+        found.append(logs.Log(q + 1e-6 * rng.standard_normal(q.shape), tau, dt=0.01))
+    model = identify.dynamics(arm, found)
+    assert model.offset[0] == pytest.approx(0, abs=0.01)
+    assert model.robot.coulomb_positive[0] == pytest.approx(3, rel=0.1) and model.robot.coulomb_speed <= 0.02
+    left = {(p.name, p.joint) for p in model.parameters if p.status == "left"}
+    assert ("offset", 1) in left
+
+
 def test_poor_logs_do_not_make_the_model_worse(arm):
     """Two seconds of one joint, in noise: plain least squares would throw the other parameters anywhere."""
     _, q, qd, qdd = small_logs.motion(3, 100, 7)
