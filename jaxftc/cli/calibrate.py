@@ -161,8 +161,10 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     )
     if promise.method == "tail":
         lines += [
-            f"too short to hold {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, {promise.wanted_per_hour:.3g}",
-            f"an hour, by counting: EXTRAPOLATED from a fitted tail, by which it is {promise.fitted_per_hour:.3g} an hour",
+            f"wanted: an alarm in {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, "
+            f"{promise.wanted_per_hour:.3g} an hour",
+            "EXTRAPOLATED: the logs are too short to count that; by a fitted tail these thresholds give "
+            f"{promise.fitted_per_hour:.3g} an hour",
         ]
     else:
         lines.append(f"thresholds for {100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, by counting")
@@ -191,20 +193,21 @@ def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     from jaxftc.campaigns.calibrate import by_joint
 
     was, now = by_joint(config, before), by_joint(config, after)
-    lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
+    width = max(10, *(len(name) + 2 for name in config.robot.joint_names))
+    lines = [f"{'joint':{width}}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:
         torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
-        lines.append(f"{name:10}{torque:>28}{angle:>30}")
+        lines.append(f"{name:{width}}{torque:>28}{angle:>30}")
     rises = {"speed, s/rad": "speed", "acceleration, s^2/rad": "acceleration", "turning round": "reversal",
              "torque, 1/(N m)": "torque", "payload, 1/(N m)": "payload"}  # fmt: skip
     if f"follow_{rises['speed, s/rad']}" not in now:
         return lines
     lines += [
         "\nshare by which the torque threshold of a joint at rest rises with",
-        " " * 10 + "".join(map("{:>24}".format, rises)),
+        " " * width + "".join(map("{:>24}".format, rises)),
     ]
     lines += [
-        f"{name:10}" + "".join(f"{now[f'follow_{word}'][name]:24.4g}" for word in rises.values())
+        f"{name:{width}}" + "".join(f"{now[f'follow_{word}'][name]:24.4g}" for word in rises.values())
         for name in config.robot.joint_names
     ]
     return lines
