@@ -195,15 +195,16 @@ def levels(config: Config, before: Gains, after: Gains) -> list[str]:
     from jaxftc.evaluation.comparison import RISES
 
     was, now = by_joint(config, before), by_joint(config, after)
-    lines = [f"{'joint':10}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
+    width = max(10, *(len(name) + 2 for name in config.robot.joint_names))
+    lines = [f"{'joint':{width}}{'torque threshold, N m':>28}{'encoder threshold, deg':>30}"]
     for name in config.robot.joint_names:
         torque, angle = (f"{was[k][name]:.4g} -> {now[k][name]:.4g}" for k in ("alpha_tau_nm", "alpha_q_deg"))
-        lines.append(f"{name:10}{torque:>28}{angle:>30}")
+        lines.append(f"{name:{width}}{torque:>28}{angle:>30}")
     if not RISES.keys() <= now.keys():
         return lines
     lines += [
         "\nshare by which the torque threshold of a joint at rest rises with",
-        " " * 10 + "".join(map("{:>28}".format, RISES.values())),
+        " " * width + "".join(map("{:>28}".format, RISES.values())),
     ]
-    lines += [f"{name:10}" + "".join(f"{now[rise][name]:28.4g}" for rise in RISES) for name in config.robot.joint_names]
+    lines += [f"{name:{width}}" + "".join(f"{now[r][name]:28.4g}" for r in RISES) for name in config.robot.joint_names]
     return lines

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from jaxftc.robot.arm_table import Arm
 
 MEMORY = "256MB"  # of the table of samples, which is on disk
+DEFAULT = (
+    "no --gains: the thresholds are those of an exact model, which a real arm exceeds without a fault; set them with "
+    "jaxftc calibrate --robot ... --logs HEALTHY..."
+)
 SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_hat")  # of every sample
 
 
@@ -58,7 +62,7 @@ class Diagnose(LogOptions, common.ArmOptions):
 
         names = arm.robot.joint_names
         curves = {"tau": Envelope(), "q": Envelope(), "threshold_tau": Envelope()}
-        notes: list[str] = []
+        notes = [] if self.gains else [DEFAULT]
         found = stream = None
         duration = 0.0
         with (
