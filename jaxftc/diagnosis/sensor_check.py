@@ -126,9 +126,8 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     unchanging, frozen = freeze(config, gains, state.freeze, inputs)
     counts, resolution = coarse_counts(gains, state.counts, inputs.estimate)
     suspect = frozen | many | (resolution > 0) | (transient.found > 0)
-    flags = (flag.astype(inputs.qd_hat.dtype) for flag in (suspect, transient.found > 0, frozen, noisy))
-    status = SensorStatus(*flags, resolution)
-    return State(transient, jumps, unchanging, counts), status
+    flags = (flag.astype(resolution.dtype) for flag in (suspect, transient.found > 0, frozen, noisy))
+    return State(transient, jumps, unchanging, counts), SensorStatus(*flags, resolution=resolution)
 
 
 def velocity_transient(config: Config, state: Transient, inputs: Inputs) -> Transient:

@@ -57,8 +57,8 @@ class Rows(NamedTuple):
     @property
     def one_way(self) -> np.ndarray:
         """Which joints [n] move in one direction only."""
-        ahead, back = ((sign * self.qd > MOVING).mean(0) for sign in (1, -1))
-        return (np.maximum(ahead, back) > 0.1) & (np.minimum(ahead, back) < 0.02)
+        shares = np.sort([(self.qd > MOVING).mean(0), (self.qd < -MOVING).mean(0)], axis=0)  # of time: the rarer first
+        return (shares[0] < 0.02) & (shares[1] > 0.1)
 
     def summed(self, width: float) -> Sums:
         """The normal equations, with friction that changes sign over ``width`` rad/s."""

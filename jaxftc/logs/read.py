@@ -115,8 +115,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     _hollow(found, q, tau)
     q = _angles(robot, q, found, options, notes)
     t = stamps(table, found, options.dt, q, notes)
-    whole = np.isfinite(q).all(1) & (True if tau is None else np.isfinite(tau).all(1))
-    rows = order(t, whole)
+    rows = order(t, np.all(np.isfinite(q if tau is None else np.hstack([q, tau])), axis=1))
     notes += rows.notes
     q, tau = q[rows.kept], None if tau is None else tau[rows.kept]
     _absurd(found.angle, q, rows.kept, FARTHEST, "rad, no angle of a joint")
