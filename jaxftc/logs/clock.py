@@ -10,6 +10,7 @@ GAP = 5  # sample times without a row that are bridged by straight lines,
 GAP_SECONDS = 0.02  # or this long, whichever is more; longer ones cut the log
 LEAST_ROWS = 20  # of a segment
 NEAR = 2  # rows before and after, from which it is read how far a row's stamp may be wrong
+UNEVEN = 0.5  # of a step, by which steps must differ for that
 RESTART_ROWS = 50  # rows behind a backward stamp that make it a new recording
 RATES = np.array([2000, 1000, 500, 400, 250, 240, 200, 150, 125, 120, 100, 80, 75, 60, 50, 40, 30, 25, 20, 15, 10.0])  # Hz
 
@@ -133,11 +134,11 @@ def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
 def uneven(t: np.ndarray) -> np.ndarray:
     """By how much [rows] s the steps of the stamps t [rows] s around each row differ.
 
-    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ, so may the two; where
-    they differ often, so may the two in every row.
+    Stamps of a recorder say when it wrote a row, not when the angles were read. Where steps differ by half a step and more,
+    so may the two; where they often do, so may the two in every row. Smaller differences are 0: those stamps are believed.
     """
     steps = np.pad(np.diff(t), NEAR, mode="edge")
     near = np.lib.stride_tricks.sliding_window_view(steps, 2 * NEAR)
     apart = np.ptp(near, axis=1)
     apart = np.maximum(apart, np.quantile(apart, 0.9))
-    return np.where(apart > 1e-3 * np.median(steps), apart, 0.0)
+    return np.where(apart > UNEVEN * np.median(steps), apart, 0.0)
