@@ -12,6 +12,7 @@ from jaxftc.logs.formats import Table
 from jaxftc.logs.readings import FAST
 
 UNITS = ((0.2, 1.0, "s"), (200.0, 1e-3, "ms"), (2e5, 1e-6, "us"), (np.inf, 1e-9, "ns"))  # median step below: the unit
+MOST = 1e300  # rad/s, in place of a speed that no number holds
 _DAY = re.compile(r"(?:^|[ T])(\d{1,2}:\d\d:\d\d(?:[.,]\d+)?)$")  # a time of the day
 _ZONE = re.compile(r"Z$|(?<=\d)[+-]\d\d:\d\d$")  # of a date
 
@@ -43,7 +44,7 @@ def times(table: Table, found: Columns, dt: float | None, q: np.ndarray, notes: 
     if "time" not in found.units and said != "time is a date":
         t, said = _plausible(name, t, q, said)
     notes += [said] if said else []
-    again = (np.diff(t) == 0) & (np.diff(q, axis=0) == 0).all(1)
+    again = (np.diff(t) == 0) & (q[1:] == q[:-1]).all(1)
     even = None if again.sum() > 0.1 * len(t) or not np.isfinite(t).all() else line_of(t, dt)
     if even is not None:
         notes.append(even[1])
@@ -54,7 +55,9 @@ def _plausible(name: str, t: np.ndarray, q: np.ndarray, said: str) -> tuple[np.n
     """Stamps in another unit where joints would fly in the one that was guessed."""
     steps = np.abs(np.diff(t))
     moving = steps > 0
-    speed = np.nan_to_num(np.abs(np.diff(q, axis=0)[moving])).max(1) / steps[moving]
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers that are no angles are refused later, by their row
+        turned = np.nan_to_num(np.abs(np.diff(q, axis=0)[moving]), posinf=MOST)
+        speed = np.minimum(turned.max(1) / steps[moving], MOST)
     usual = float(np.quantile(speed, 0.9))
     if usual < FAST:
         return t, said
