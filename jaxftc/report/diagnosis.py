@@ -25,7 +25,7 @@ class Envelope:
         """More ticks."""
         rest = signal if self._rest is None else np.concatenate([self._rest, signal])
         count = len(rest) // self.size
-        blocks = rest[: count * self.size].reshape(count, self.size, -1)
+        blocks = rest[: count * self.size].reshape(count, self.size, *rest.shape[1:])  # none, of fewer ticks than a block
         self.low += [*blocks.min(1)]
         self.high += [*blocks.max(1)]
         self._rest = rest[count * self.size :]

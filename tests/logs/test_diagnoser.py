@@ -18,6 +18,7 @@ from jaxftc.gains_file import save_gains
 from jaxftc.logs import pieces
 from jaxftc.logs.log import Log
 from jaxftc.logs.timeline import Timeline
+from jaxftc.report.diagnosis import POINTS, Envelope
 from jaxftc.schemes.diagnoser import Diagnosis
 from tests import small_logs
 
@@ -419,3 +420,15 @@ def test_calibrate_on_logs_writes_gains(files, tmp_path, capsys):
     main(["calibrate", "--logs", str(files / "log.csv"), *options])
     said = json.loads(capsys.readouterr().out)
     assert said["method"] == "tail" and said["sample_time_s"] == DT and (tmp_path / "out" / "gains.toml").exists()
+
+
+def test_a_curve_of_a_long_log_keeps_its_extremes_whatever_the_pieces():
+    """The last piece is shorter than a block by then."""
+    signal = np.random.default_rng(0).normal(size=(20 * POINTS + 3, 2))
+    curve = Envelope()
+    for piece in (signal[: 9 * POINTS], signal[9 * POINTS : 20 * POINTS], signal[20 * POINTS :]):
+        curve.add(piece)
+    assert len(curve.low) <= POINTS and curve.size > 3
+    whole = signal[: len(curve.low) * curve.size]
+    np.testing.assert_array_equal(np.min(curve.low, axis=0), whole.min(0))
+    np.testing.assert_array_equal(np.max(curve.high, axis=0), whole.max(0))
