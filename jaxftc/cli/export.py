@@ -97,5 +97,7 @@ def table(name: str, found: Compared) -> str:
     lines = [f"{name} against jaxftc.step, {found.ticks} ticks of each kind of fault", ""]
     lines += [f"{'fault':22}{'largest difference over the signal':>36}"]
     lines += [f"{kind:22}{error:36.1e}" for kind, error in found.error.items()]
+    if found.learned:
+        lines.append(f"\nwhat is learned of the arm {found.learned:.1e}, allowed {found.learned_tolerance:g}")
     lines.append(f"\nallowed {found.tolerance:g}; verdicts that differ: {found.verdicts}; worst signal: {found.worst}")
     return "\n".join([*lines, "the same\n" if found.met else "NOT THE SAME\n"])

@@ -21,6 +21,10 @@ from jaxftc.simulation import closed_loop
 TICKS = 10_000  # of each kind of fault
 RUN = 500  # ticks of a run
 TOLERANCE = {"double": 1e-9, "float": 1e-4}  # of a signal, over its largest size in the check
+# What is learned of the arm comes from innovations. A reading in single precision is good to 3e-8 rad, and on the PUMA that
+# count alone moves the learned numbers by up to 7e-4 of their size, so nothing in single precision can agree any better.
+LEARNED = "state.adaptation_phi"
+LEARNED_TOLERANCE = {"double": 1e-9, "float": 1e-3}
 SIZES: dict[str, tuple[float, float]] = {  # of a fault, in its unit; of a torque's bias over the joint's limit
     "actuator bias": (0.05, 0.3),
     "actuator loss": (0.3, 0.9),
@@ -50,16 +54,19 @@ class Compared(NamedTuple):
     """How far an artifact is from ``jaxftc.step``."""
 
     ticks: int  # of each kind of fault
-    error: dict[str, float]  # by kind: the largest difference of a signal over its largest size
+    error: dict[str, float]  # by kind: the largest difference of a signal over its largest size, LEARNED left out
     worst: str  # the signal with the largest of them
     verdicts: int  # that differ
     alarms: int  # joints with a verdict that is not normal, so that equal verdicts say something
     tolerance: float
+    learned: float = 0.0  # the largest difference of what is learned of the arm, over its largest size
+    learned_tolerance: float = 0.0
 
     @property
     def met(self) -> bool:
         """Whether all is within the tolerance, and every verdict equal."""
-        return self.verdicts == 0 and max(self.error.values()) <= self.tolerance
+        close = max(self.error.values()) <= self.tolerance and self.learned <= self.learned_tolerance
+        return self.verdicts == 0 and close
 
 
 def compare(
@@ -107,9 +114,12 @@ def compare(
     found = {}
     for name, gap in gaps.items():
         share = gap / np.where(size > 0, size, 1.0)[:, None]
+        learned = np.array([label.startswith(LEARNED) for label in labels])
+        of_learned, share[learned] = float(share[learned].max(initial=0.0)), 0.0
         error = {kind: float(share[:, np.array(names) == kind].max()) for kind in KINDS}
         worst = labels[int(share.max(1).argmax())]
-        found[name] = Compared(runs * run, error, worst, different[name], alarms, TOLERANCE[tick.real])
+        allowed = TOLERANCE[tick.real], of_learned, LEARNED_TOLERANCE[tick.real]
+        found[name] = Compared(runs * run, error, worst, different[name], alarms, *allowed)
     return found
 
 

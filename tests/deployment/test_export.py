@@ -103,6 +103,23 @@ def test_every_scheme_on_the_built_in_arm(scheme, real, tmp_path):
     assert found.met and found.ticks == check.TICKS, found
 
 
+@pytest.mark.slow
+@needs_c
+def test_no_code_in_single_precision_can_agree_better_on_what_is_learned(tmp_path):
+    """One count of the arithmetic in the readings moves the learned numbers by more than other signals may differ."""
+    tick = written(tmp_path, config("adaptive", jaxftc.puma560()), real="float")
+    code = Native(tmp_path, tick)
+    learned = [i for i, leaf in enumerate(tick.leaves()["state"]) if f"state.{leaf.name}".startswith(check.LEARNED)]
+    moved, size = np.zeros(len(learned)), np.zeros(len(learned))
+    with precision("float"):
+        for before, signals, _, _ in check._reference(tick, list(check.KINDS), 200, 0):
+            near = [*signals[:3], np.nextafter(signals[3], np.float32(10)), *signals[4:]]
+            (here, _), (there, _) = (code.step(before, told) for told in (signals, near))
+            moved = np.maximum(moved, [np.abs(here[i] - there[i]).max() for i in learned])
+            size = np.maximum(size, [np.abs(here[i]).max() for i in learned])
+    assert len(learned) == 3 and (moved / size).max() > check.TOLERANCE["float"]
+
+
 @pytest.mark.parametrize("scheme", sorted(variants()))
 def test_every_scheme_becomes_code(scheme):
     settings = config(scheme, sign="hard")
