@@ -59,6 +59,29 @@ def read(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
 
 
+def count(path: Path) -> int:
+    """Rows of a Parquet file.
+
+    Raises:
+        ValueError: it cannot be read.
+    """
+    import duckdb
+
+    try:
+        with connect() as connection:
+            found = connection.execute(f"select count(*) from {PARQUET}", {"files": names([path])}).fetchone()
+    except duckdb.Error as error:
+        raise ValueError(f"cannot read {path}: {str(error).splitlines()[0]}") from error
+    return 0 if found is None else int(found[0])
+
+
+def copy(path: Path, to: Path, rows: int, first: int) -> None:
+    """Copy at most ``rows`` rows of a Parquet file, from the row ``first`` on, counted from 0."""
+    with connect() as connection:
+        query = f"copy (select * from {PARQUET} limit {rows} offset {first}) to $to (format parquet, use_tmp_file false)"
+        connection.execute(query, {"files": names([path]), "to": os.path.abspath(to)})
+
+
 def write_parquet(path: Path, columns: dict[str, Any]) -> None:
     """Write columns of equal length whole or not at all.
 

@@ -33,6 +33,7 @@ class Log(NamedTuple):
     notes: tuple[str, ...] = ()  # what was found and repaired in the file, one line each
     unit: str = "N m"  # of tau; "A" where currents were recorded and the torque for one is not known
     jitter: np.ndarray | None = None  # [T] s, by which the time between readings may be wrong; None: by nothing
+    degrees: bool = False  # the file has its angles in degrees; q is in rad all the same
 
     @property
     def stretches(self) -> tuple[tuple[int, int], ...]:

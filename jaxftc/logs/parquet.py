@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,23 @@ def read(path: Path) -> Table:
         matrix = np.stack([np.asarray(v) for v in values.data])
         columns |= {f"{name}.{k}": matrix[:, k] for k in range(matrix.shape[1])}
     return Table(columns)
+
+
+def count(path: Path) -> int:
+    """Rows of the file.
+
+    Raises:
+        ValueError: DuckDB cannot read it.
+    """
+    return tables.count(path)
+
+
+def cut(path: Path, rows: int, folder: Path) -> Iterator[Path]:
+    """The file in parts of ``rows`` rows, in order, each with the first row of the next; the last one is removed each time."""
+    part = folder / path.name
+    for first in range(0, count(path), rows):
+        tables.copy(path, part, rows + 1, first)
+        yield part
 
 
 def _plain(values: np.ma.MaskedArray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import importlib
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -11,32 +11,29 @@ from typing import Any
 import numpy as np
 
 from jaxftc.config import Config
-from jaxftc.io import tables
+from jaxftc.logs.formats import READERS
 from jaxftc.logs.log import Log
 from jaxftc.logs.read import read
 
-PIECE = 500_000  # rows
+PIECE = 200_000  # rows, at most
 
 
 def rows(path: Path) -> int | None:
-    """How many rows a table has; None for files that are read whole."""
-    reader = tables.READERS.get(path.suffix.lower())
-    if reader is None:
-        return None
-    import duckdb
+    """How many rows a table has; None for files that are read whole.
 
-    try:
-        with tables.connect() as connection:
-            found = connection.execute(f"select count(*) from {reader}", {"files": tables.names([path])}).fetchone()
-            return None if found is None else int(found[0])
-    except duckdb.Error:
-        return None  # ``read`` says what is wrong with it
+    Raises:
+        ValueError: it cannot be read.
+    """
+    count = getattr(_reader(path), "count", None)
+    return count(path) if count and path.is_file() else None  # of a file that is not there, ``read`` says so
 
 
 def pieces(
     path: Path, arm: Any, make_config: Callable[[float], Config], **options: Any
 ) -> Iterator[tuple[Log, float, bool]]:
     """Logs of at most PIECE rows, the time in s at which each begins, and whether it follows the one before without a gap.
+
+    What the first piece says of the sample time and of degrees holds for all.
 
     Raises:
         ValueError: as ``read``, of any piece.
@@ -45,25 +42,33 @@ def pieces(
     if count is None or count <= PIECE:
         yield read(path, arm, **options), 0.0, False
         return
+    size = -(-count // -(-count // PIECE))  # all pieces alike, so that none is too short to be a log
     with tempfile.TemporaryDirectory() as folder:
-        part, begins, last, config = Path(folder) / path.with_suffix(".parquet").name, 0.0, None, None
-        for first in range(0, count, PIECE):
-            reader = tables.READERS[path.suffix.lower()]
-            with tables.connect() as connection:
-                query = f"copy (select * from {reader} limit {PIECE + 1} offset {first}) to $out (format parquet)"
-                connection.execute(query, {"files": tables.names([path]), "out": str(part)})
-            source: Any = arm if config is None else config
-            log = read(part, source, **options)
+        begins, last, config = 0.0, None, None
+        for k, part in enumerate(_reader(path).cut(path, size, Path(folder))):
+            try:
+                log = read(part, arm if config is None else config, **options)
+                if last is not None and log.degrees and not last.degrees:
+                    raise ValueError(f"{part}: its angles must be in degrees and those before are not; say --degrees")
+            except ValueError as error:
+                here = f"{path}, counted from row {k * size + 1} on"
+                raise ValueError(str(error).replace(str(part), here if k else str(path))) from error
             config = config or make_config(log.dt or 0.0)
-            if last is not None:  # a piece takes the first row of the next one with it: the same reading
+            if last is None:
+                options |= {"recording": options.get("recording") or getattr(arm, "recording", None)}
+                options |= {"degrees": log.degrees or options.get("degrees")}
+            else:  # a piece takes the first row of the next one with it: the same reading
                 turns = 2 * np.pi * np.round((last.q[-1] - log.q[0]) / (2 * np.pi))
                 log = log._replace(q=log.q + turns)
-            whole = len(log.stretches) == 1 and first + PIECE < count
+            whole = len(log.stretches) == 1 and (k + 1) * size < count
             t, jitter = (None if part is None else part[:-1] for part in (log.t, log.jitter))
             kept = log._replace(q=log.q[:-1], tau=log.tau[:-1], t=t, jitter=jitter, segments=())
             yield (kept if whole else log), begins, last is not None and len(last.stretches) == 1
             begins += float(log.t[-1]) if log.t is not None else len(log.q) * config.dt
             last = log
-            if isinstance(arm, Config) or not dataclasses.is_dataclass(arm):
-                continue
-            options |= {"recording": getattr(arm, "recording", None)}
+
+
+def _reader(path: Path) -> Any:
+    """The module that reads the file; None for what no reader knows."""
+    name = READERS.get(path.suffix.lower())
+    return importlib.import_module(f"jaxftc.logs.{name}") if name and path.suffix else None

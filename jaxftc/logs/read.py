@@ -113,7 +113,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     else:
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
-    q = _angles(robot, q, found, options, notes)
+    q, degrees = _angles(robot, q, found, options, notes)
     t = stamps(table, found, options.dt, q, notes)
     rows = order(t, np.all(np.isfinite(q if tau is None else np.hstack([q, tau])), axis=1))
     notes += rows.notes
@@ -140,7 +140,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     if len(q) < LEAST_ROWS:
         raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
     jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right
-    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter)
+    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter, degrees=degrees)
     if tau is not None and options.check:
         wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
         if wrong and options.faulty:
@@ -187,15 +187,18 @@ def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
     return out
 
 
-def _angles(robot: Robot, q: np.ndarray, found: Columns, options: _Options, notes: list[str]) -> np.ndarray:
-    """Angles [rows, n] in rad; NaN where a number stands for a reading that was lost.
+def _angles(
+    robot: Robot, q: np.ndarray, found: Columns, options: _Options, notes: list[str]
+) -> tuple[np.ndarray, bool]:
+    """Angles [rows, n] in rad, NaN where a number stands for a reading that was lost; whether they were in degrees.
 
     Raises:
         ValueError: they cannot be angles.
     """
     unit = str(found.units.get("angle", ""))
     why = "its columns say so" if unit == "deg" else None if unit else in_degrees(robot, q)
-    if options.degrees or (options.degrees is None and why):
+    degrees = bool(options.degrees or (options.degrees is None and why))
+    if degrees:
         notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
         q = np.deg2rad(q)
     elif unit in ANGLES:
@@ -210,7 +213,7 @@ def _angles(robot: Robot, q: np.ndarray, found: Columns, options: _Options, note
         q = np.where(lost, np.nan, q)
     if options.check and (wrong := no_angles(robot, q)):
         raise ValueError(wrong)
-    return q
+    return q, degrees
 
 
 def _torque(

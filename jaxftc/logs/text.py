@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import itertools
 import re
 from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +18,7 @@ COMMENT = ("#", "%", "//")
 NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)"
 _NUMBER = re.compile(NUMBER, re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+SAMPLE = 500  # lines that say how a long table is written
 PREAMBLE = 50  # lines that a table may have before its head
 
 
@@ -26,9 +30,67 @@ def read(path: Path) -> Table:
     Raises:
         ValueError: a file that is not text, or rows of another length than the head.
     """
-    comments, lines = _lines(path)
+    comments, lines = _lines(_decoded(path).splitlines())
     if not lines:
         raise ValueError(f"{path}: the file has no rows; record a motion")
+    top = _top(comments, lines)
+    if not top.rows:
+        raise ValueError(f"{path}: the file has a head and no rows; record a motion")
+    head, notes = top.head, top.notes
+    double = [name for name, count in Counter(head).items() if count > 1 and name]
+    if double:
+        raise ValueError(f"{path}: two columns are named {double[0]!r}; rename one of them")
+    if top.named and len(_cells(top.rows[0][1], top.cut)) == len(head) + 1:
+        head = ["", *head]  # the first column counts the rows and has no name, as R writes it
+    comma = top.cut != "," and _decimal_comma(top.rows, top.cut)
+    notes += ["numbers have a decimal comma"] if comma else []
+    return Table(_columns(path, head, top.rows, top.cut, comma), tuple(notes), top.named, top.units)
+
+
+def count(path: Path) -> int:
+    """Lines of the file, which are its rows but for a few.
+
+    Raises:
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        return sum(block.count(b"\n") for block in iter(lambda: file.read(1 << 20), b""))
+
+
+def cut(path: Path, rows: int, folder: Path) -> Iterator[Path]:
+    """The file in parts of ``rows`` lines, in order, each with the first line of the next; the last part is removed each time.
+
+    What stands before the first row stands before each of them.
+    """
+    part = folder / path.name
+    with path.open(encoding=_encoding(path), errors="replace", newline="") as file:
+        begin = list(itertools.islice(file, SAMPLE))
+        comments, lines = _lines(begin)
+        table = _top(comments, lines).rows if lines else []
+        above = begin[: table[0][0] - 1] if table else begin
+        rest = itertools.chain(begin[len(above) :], file)
+        piece = list(itertools.islice(rest, rows + 1))
+        while piece:
+            part.write_text("".join([*above, *piece]), encoding="utf-8", newline="")
+            yield part
+            last = piece[rows:]
+            piece = last + list(itertools.islice(rest, rows))
+            if len(piece) == len(last):
+                return
+
+
+class _Top(NamedTuple):
+    """How the table is written, and its rows with their line numbers."""
+
+    head: list[str]
+    named: bool
+    units: dict[str, str]
+    cut: str | None
+    notes: list[str]
+    rows: list[tuple[int, str]]
+
+
+def _top(comments: list[str], lines: list[tuple[int, str]]) -> _Top:
     cut = _separator([text for _, text in lines])
     lines, notes = _from_head(lines, cut)
     head, first = _cells(lines[0][1], cut), lines[0][1]
@@ -45,23 +107,14 @@ def read(path: Path) -> Table:
     if units:
         notes.append(f"line {lines[0][0]} holds units")
         lines = lines[1:]
-    if not lines:
-        raise ValueError(f"{path}: the file has a head and no rows; record a motion")
-    double = [name for name, count in Counter(head).items() if count > 1 and name]
-    if double:
-        raise ValueError(f"{path}: two columns are named {double[0]!r}; rename one of them")
-    if named and len(_cells(lines[0][1], cut)) == len(head) + 1:
-        head = ["", *head]  # the first column counts the rows and has no name, as R writes it
-    comma = cut != "," and _decimal_comma(lines, cut)
-    notes += ["numbers have a decimal comma"] if comma else []
-    return Table(_columns(path, head, lines, cut, comma), tuple(notes), named, units)
+    return _Top(head, named, units, cut, notes, lines)
 
 
-def _lines(path: Path) -> tuple[list[str], list[tuple[int, str]]]:
+def _lines(text: list[str]) -> tuple[list[str], list[tuple[int, str]]]:
     """Comments before the table, and the other lines with their numbers, from 1."""
     comments: list[str] = []
     lines: list[tuple[int, str]] = []
-    for number, line in enumerate(_decoded(path).splitlines(), start=1):
+    for number, line in enumerate(text, start=1):
         stripped = line.strip()
         if stripped.startswith(COMMENT):
             if not lines:
@@ -103,14 +156,25 @@ def _decimal_comma(lines: list[tuple[int, str]], cut: str | None) -> bool:
 
 def _decoded(path: Path) -> str:
     raw = path.read_bytes()
-    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return raw.decode("utf-16")
-    if b"\x00" in raw[:4096]:
-        raise ValueError(f"{path}: this is a binary file and not text; is its suffix right?")
     try:
-        return raw.decode("utf-8-sig")
+        return raw.decode(_encoding(path))
     except UnicodeDecodeError:
         return raw.decode("latin-1")
+
+
+def _encoding(path: Path) -> str:
+    """How the file is encoded, by its first bytes."""
+    with path.open("rb") as file:
+        raw = file.read(4096)
+    if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return "utf-16"
+    if b"\x00" in raw:
+        raise ValueError(f"{path}: this is a binary file and not text; is its suffix right?")
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(raw)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
 
 
 def _separator(lines: list[str]) -> str | None:

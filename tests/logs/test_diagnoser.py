@@ -15,6 +15,7 @@ from jaxftc.campaigns.follow import with_shares
 from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
 from jaxftc.cli.main import main
 from jaxftc.gains_file import save_gains
+from jaxftc.io import tables
 from jaxftc.logs import pieces
 from jaxftc.logs.log import Log
 from jaxftc.logs.timeline import Timeline
@@ -405,14 +406,47 @@ def test_columns_that_do_not_fit_are_said_and_not_refused(files, arm, log):
     assert any("unless that is the fault" in note for note in logs.read(path, arm, faulty=True).notes)
 
 
-def test_a_long_recording_is_read_piece_by_piece(files, arm, config, calibration, monkeypatch):
-    whole = [logs.read(files / "log.csv", arm)]
-    monkeypatch.setattr(pieces, "PIECE", 700)
-    found = list(pieces.pieces(files / "log.csv", arm, lambda dt: config))
-    assert [len(log.q) for log, *_ in found] == [700, 700, 200]
-    np.testing.assert_allclose(np.concatenate([log.q for log, *_ in found]), whole[0].q, atol=1e-9)
-    assert [begins for _, begins, _ in found] == pytest.approx([0.0, 7.0, 14.0])
-    assert [goes_on for *_, goes_on in found] == [False, True, True]
+def as_logger(path, folder):
+    """The same table as another logger writes it: a title, semicolons, decimal commas, a row of units, degrees."""
+    head, *rows = (line.split(",") for line in path.read_text().splitlines())
+    units = ["s"] + ["deg" if name.startswith("q") else "Nm" for name in head[1:]]
+    turned = [[f"{np.rad2deg(float(x)):.9g}" if n.startswith("q") else x for n, x in zip(head, row, strict=True)] for row in rows]
+    lines = ["Prüfstand 3", *(";".join(cells).replace(".", ",") for cells in (head, units, *turned))]
+    (folder / "logger.txt").write_text("\n".join(lines), encoding="latin-1")
+    return folder / "logger.txt"
+
+
+def as_parquet(path, folder):
+    names, *rows = (line.split(",") for line in path.read_text().splitlines())
+    tables.write_parquet(folder / "log.parquet", dict(zip(names, np.array(rows, float).T, strict=True)))
+    return folder / "log.parquet"
+
+
+@pytest.mark.parametrize("written", [lambda path, _: path, as_logger, as_parquet], ids=["csv", "logger", "parquet"])
+def test_a_long_recording_is_read_piece_by_piece(files, arm, config, monkeypatch, tmp_path, written):
+    """Pieces of one size, each with all repairs, are the whole."""
+    path = written(files / "log.csv", tmp_path)
+    whole = logs.read(path, arm)
+    monkeypatch.setattr(pieces, "PIECE", 1500)  # the log has 1,600 rows; a rest of 100 would be no log
+    found = list(pieces.pieces(path, arm, lambda dt: config))
+    assert [len(log.q) for log, *_ in found] == pytest.approx([800, 800], abs=2)
+    np.testing.assert_allclose(np.concatenate([log.q for log, *_ in found]), whole.q, atol=1e-7)
+    np.testing.assert_allclose(np.concatenate([log.tau for log, *_ in found]), whole.tau, atol=1e-7)
+    assert [begins for _, begins, _ in found] == pytest.approx([0.0, len(found[0][0].q) * DT])
+    assert [goes_on for *_, goes_on in found] == [False, True]
+
+
+def test_pieces_that_do_not_agree_are_refused_by_row(files, arm, config, monkeypatch, tmp_path):
+    monkeypatch.setattr(pieces, "PIECE", 800)
+    head, *rows = (files / "log.csv").read_text().splitlines()
+    angles = [k for k, name in enumerate(head.split(",")) if name.startswith("q")]
+    table = np.array([row.split(",") for row in rows], float)
+    table[536:, angles] = np.rad2deg(table[536:, angles])  # a logger that was set to degrees in the second piece
+    for name, change, said in (("degrees", table, "degrees and those before are not"), ("cut", table[:, :-1], "tau3")):
+        np.savetxt(tmp_path / f"{name}.csv", change, delimiter=",", header=head if name != "cut" else head[:-5], comments="")
+        with pytest.raises(ValueError, match=said) as told:
+            list(pieces.pieces(tmp_path / f"{name}.csv", arm, lambda dt: config))
+        assert str(told.value).startswith(str(tmp_path / f"{name}.csv"))
 
 
 def test_calibrate_on_logs_writes_gains(files, tmp_path, capsys):
