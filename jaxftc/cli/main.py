@@ -35,15 +35,23 @@ DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
 
 def commands() -> dict[str, Any]:
     """All commands by name: our own, then those of installed packages."""
+    return {name: _load(entry) for name, entry in _entries().items()}
+
+
+def _entries() -> dict[str, EntryPoint]:
     from importlib.metadata import EntryPoint
 
-    found = {name: EntryPoint(name, place, GROUP).load() for name, place in COMMANDS.items()}
-    for entry in installed():
-        try:
-            found.setdefault(entry.name, entry.load())
-        except ModuleNotFoundError as error:
-            found.setdefault(entry.name, _absent(entry, error))
-    return found
+    ours = {name: EntryPoint(name, place, GROUP) for name, place in COMMANDS.items()}
+    return ours | {entry.name: entry for entry in installed() if entry.name not in ours}
+
+
+def _load(entry: EntryPoint) -> Any:
+    try:
+        return entry.load()
+    except ModuleNotFoundError as error:
+        if entry.name in COMMANDS:
+            raise
+        return _absent(entry, error)
 
 
 def installed() -> Any:
@@ -82,7 +90,11 @@ def parse(arguments: list[str] | None = None) -> Any:
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise ValueError(f"arguments and names of files must be UTF-8, got {os.fsencode(word)!r}; rename it")
-    command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
+    entry = _entries().get(words[0]) if words else None
+    if entry is None:  # help, or a command that is not there
+        command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
+    else:  # the parsers of all others would take as long again
+        command = tyro.cli(_load(entry), prog=f"jaxftc {entry.name}", args=words[1:])
     from jaxftc.cli import common, results
 
     for name, value in results.given(command):
