@@ -1,6 +1,8 @@
 """An arm for what holds for every arm: its programs compile several times as fast as those of six joints."""
 
 import functools
+import tempfile
+from pathlib import Path
 
 from benchmarks import arms
 from jaxftc import Robot
@@ -18,8 +20,24 @@ def three_hinges() -> Robot:
 
 
 @functools.cache
-def _arm(name: str, joints: int) -> Robot:
+def two_hinges_file() -> Path:
+    """The arm of two hinges as a robot file, which lasts as long as the process."""
+    _FOLDERS.append(tempfile.TemporaryDirectory())
+    path = Path(_FOLDERS[-1].name) / "two.xml"
+    path.write_text(_text(2))
+    return path
+
+
+_FOLDERS: list[tempfile.TemporaryDirectory] = []
+
+
+def _text(joints: int) -> str:
     text = arms.serial(joints).replace("<worldbody>", '<size nuser_jnt="2"/><worldbody>')
-    robot = compile_robot(name, text.replace("<joint ", '<joint user="0.6 0.4" '))
+    return text.replace("<joint ", '<joint user="0.6 0.4" ')
+
+
+@functools.cache
+def _arm(name: str, joints: int) -> Robot:
+    robot = compile_robot(name, _text(joints))
     assert (robot.coulomb_positive > robot.coulomb_negative).all() and (robot.coulomb_negative > 0).all()
     return robot

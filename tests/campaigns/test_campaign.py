@@ -31,8 +31,9 @@ from jaxftc.io.tables import write_parquet
 from jaxftc.report import campaign as report
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.variants import variants
+from tests.arms import two_hinges_file
 
-SHORT = ["--duration", "0.4", "--seed", "5"]
+SHORT = ["--duration", "0.4", "--seed", "5", "--robot", str(two_hinges_file())]
 PROGRAM = "from jaxftc.cli.main import main; main()"
 
 
@@ -166,7 +167,7 @@ def test_a_replay_reproduces_the_row_to_the_last_bit(folder, run, refused, tmp_p
     done = run("simulate", "--from", out, "--id", 123, "--out", tmp_path, "--json")
     result = json.loads(done.stdout)
     assert result["same_as_stored"] is True and result["row"]["scenario_id"] == 123
-    assert len(result["joints"]) == 6 and (tmp_path / "trace.parquet").exists()
+    assert len(result["joints"]) == 2 and (tmp_path / "trace.parquet").exists()
     later = json.loads(run("simulate", "--from", out, "--id", 100000, "--out", tmp_path, "--force", "--json").stdout)
     assert later["same_as_stored"] is None, "not run yet, but no less defined"
     assert "--observer does nothing with --from" in refused("simulate", "--from", out, "--id", 1, "--observer", "pi")
@@ -369,7 +370,7 @@ def test_calibrate_writes_gains_that_a_campaign_takes(run, refused, tmp_path):
     printed = json.loads(run(*command, *SHORT).stdout)
     assert printed == json.loads((tmp_path / "result.json").read_text())
     assert printed["false_alarm_runs_95"][0] <= 0.05 and printed["runs"] == printed["fresh_runs"] == 150
-    config = jaxftc.Config(jaxftc.puma560(), engine="chain", duration=0.4)
+    config = jaxftc.Config(jaxftc.load_robot(two_hinges_file()), engine="chain", duration=0.4)
     with jax.enable_x64(False):
         gains = jaxftc.load_gains(printed["gains"], config)
     np.testing.assert_allclose(gains.diagnosis.alpha_tau, list(printed["alpha_tau_nm"].values()), rtol=1e-6)
@@ -388,8 +389,8 @@ def test_rows_say_whose_they_are(folder):
 def test_everything_that_ran_is_said(folder):
     out, printed = folder
     ran = printed["provenance"]
-    assert ran["command"] == f"jaxftc campaign -n 300 --out {out} --worst 1 --json --duration 0.4 --seed 5"
-    assert ran["robot"]["name"].startswith("puma560") and ran["config"]["duration"] == 0.4 and ran["seed"] == 5
+    assert ran["command"] == f"jaxftc campaign -n 300 --out {out} --worst 1 --json {' '.join(SHORT)}"
+    assert ran["robot"]["name"] == "two" and ran["config"]["duration"] == 0.4 and ran["seed"] == 5
     assert ran["preset"] == {"name": "standard", "base": "standard", "changes": {}} and ran["gains"] is None
     assert ran["gains_that_ran"]["sha256"] in (out / "SHA256SUMS").read_text()
     page = (out / "report.html").read_text()

@@ -26,7 +26,7 @@ def test_figures_of_a_known_case():
 
 
 def test_both_signs_on_both_presets_on_scenarios_of_the_key():
-    config = jaxftc.Config(two_hinges(), engine="chain", observer="pi", control="smc", duration=0.02)
+    config = jaxftc.Config(two_hinges(), engine="chain", scheme="computed_torque", duration=0.02)
     gains = jaxftc.default_gains(config)
     objective = {"end": Term(1.0, lambda r: r.trace.q[-1].sum(0))}
     with jax.debug_key_reuse(True):

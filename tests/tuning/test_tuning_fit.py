@@ -16,14 +16,14 @@ from tests.arms import two_hinges
 from tuning import OBJECTIVE, Problem, Settings, Term, checkpoint, fit, loop, methods, search, terms
 from tuning.settings import GRADIENT_COST, round_length
 
-FREE = ["control", "diagnosis", "observer.alpha_p"]
+FREE = ["baseline"]
 SMALL = Settings(steps=10, batch=8, validation=4, learning_rate=0.2)
 
 
 @pytest.fixture(scope="module")
 def arm():
-    """A short run of the simplest structure, which compiles quickly."""
-    return jaxftc.Config(two_hinges(), engine="chain", observer="pi", control="smc", duration=0.1)
+    """A short run of the simplest scheme, which compiles quickly; ``test_tuning_gradients.py`` has the cascade."""
+    return jaxftc.Config(two_hinges(), engine="chain", scheme="computed_torque", duration=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -125,16 +125,16 @@ def test_searches_stay_within_their_budget_and_resume(arm, scenarios, method, tm
 
 def test_finite_differences_descend(arm, scenarios):
     settings = dataclasses.replace(SMALL, method="finite", steps=8, patience=1.0)
-    result = run(arm, scenarios, settings=settings, only=["control.lam", "control.eps"], shared=["control"])
+    result = run(arm, scenarios, settings=settings, only=["baseline.kp", "baseline.kd"], shared=["baseline"])
     assert result.steps == settings.budget // (SMALL.batch * 3)  # two numbers and the point itself
     assert result.best_step > 0
 
 
 def test_what_runs_away_is_undone_and_told(arm, scenarios):
     """Steps that are far too long are taken back and shortened until they are not, or given up after some tries."""
-    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.01).mean(0), True)}
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.baseline.kp / 625.0) - 0.01).mean(0), True)}
     settings = dataclasses.replace(SMALL, steps=30, learning_rate=3.0, patience=1.0)
-    options = {"settings": settings, "objective": objective, "only": ["control.lam"]}
+    options = {"settings": settings, "objective": objective, "only": ["baseline.kp"]}
     result = run(arm, scenarios, **options)
     assert result.events and all("away rose from 0.011 to" in event for event in result.events)
     assert "back to the gains of step 0" in result.events[0] and result.stopped == "all steps done"
@@ -176,7 +176,7 @@ def test_after_a_restart_the_rate_goes_on_from_where_it_was():
 
 
 def test_searches_have_nothing_to_undo(arm, scenarios):
-    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0)).mean(0), True)}
+    objective = {"away": Term(1.0, lambda r: 1e-3 + jnp.abs(jnp.log(r.gains.baseline.kp / 625.0)).mean(0), True)}
 
     class Wild(search.Random):
         def generation(self, judge):
@@ -187,7 +187,7 @@ def test_searches_have_nothing_to_undo(arm, scenarios):
     settings = dataclasses.replace(SMALL, method="random", steps=40, patience=1.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(methods.search, "Random", Wild)
-        result = run(arm, scenarios, settings=settings, objective=objective, only=["control.lam"])
+        result = run(arm, scenarios, settings=settings, objective=objective, only=["baseline.kp"])
     assert (result.events, result.stopped) == ([], "all steps done")
 
 
@@ -196,12 +196,12 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
 
     def spiked(r):
         factor = jnp.where(r.scenario.id % 4 == 1, 1e6, 1.0)
-        lam = r.gains.control.lam.mean(0) / 20.0
-        root = jnp.sqrt(jnp.where(r.scenario.id % 4 == 2, 0.0 * lam, lam))
+        kp = r.gains.baseline.kp.mean(0) / 625.0
+        root = jnp.sqrt(jnp.where(r.scenario.id % 4 == 2, 0.0 * kp, kp))
         return factor * root + 0 * r.trace.q[0, 0]
 
     problem = Problem(arm, {"spiked": Term(1.0, spiked)}, jax.random.key(1), 4)
-    space = methods.transform.space(arm, jaxftc.default_gains(arm), ["control.lam"], ["control"])
+    space = methods.transform.space(arm, jaxftc.default_gains(arm), ["baseline.kp"], ["baseline"])
     slope = jax.jit(problem.slope(space, "reverse"))
     batch = trail(take(scenarios, slice(4)))
     _, slopes = slope(problem.key, jnp.zeros(1), jnp.ones(()), batch, jnp.full((1, 4), np.inf))
@@ -218,19 +218,19 @@ def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenari
         ({"objective": {}}, "the objective has no terms"),
         ({"limits": {"dely": 0.1}}, "the term of a limit must be one of .* did you mean 'delay'"),
         ({"limits": {"delay": np.nan}}, "the limit of delay must be finite and not negative, got nan"),
-        ({"freeze": ["observer", "diagnosis", "control"]}, "every gain is frozen"),
-        ({"only": ["control.lamb"]}, "did you mean 'control.lam'"),
-        ({"only": ["lam"]}, "did you mean 'control.lam'"),
-        ({"freeze": ["eps"]}, "did you mean 'control.eps'"),
-        ({"shared": ["alpha_tau"]}, "did you mean 'diagnosis.alpha_tau'"),
-        ({"start": jnp.nan}, "control.lam must be finite"),
+        ({"freeze": ["baseline"]}, "every gain is frozen"),
+        ({"only": ["baseline.kpp"]}, "did you mean 'baseline.kp'"),
+        ({"only": ["kp"]}, "did you mean 'baseline.kp'"),
+        ({"freeze": ["kd"]}, "did you mean 'baseline.kd'"),
+        ({"shared": ["speed_weight"]}, "did you mean 'baseline.speed_weight'"),
+        ({"start": jnp.nan}, "baseline.kp must be finite"),
     ],
 )
 def test_bad_input_is_refused(arm, scenarios, change, message):
     start = None
     if "start" in change:
         gains = jaxftc.default_gains(arm)
-        start = gains.replace({"control.lam": change.pop("start")})
+        start = gains.replace({"baseline.kp": change.pop("start")})
     some = take(scenarios, change.pop("scenarios", slice(None)))
     if "validation" in change:
         change["validation"] = take(scenarios, change["validation"])
@@ -266,40 +266,40 @@ def test_an_optimiser_of_ones_own_makes_the_steps_of_the_built_in_one(arm, scena
 
 
 def away(r):
-    return 1e-3 + jnp.abs(jnp.log(r.gains.control.lam / 20.0) - 0.5).mean(0)
+    return 1e-3 + jnp.abs(jnp.log(r.gains.baseline.kp / 625.0) - 0.5).mean(0)
 
 
-def lam(r):
-    return r.gains.control.lam.mean(0)
+def stiffness(r):
+    return r.gains.baseline.kp.mean(0)
 
 
 @pytest.mark.parametrize("method", ["gradient", "random"])
 def test_gains_beyond_a_limit_are_never_chosen(arm, scenarios, method, tmp_path):
-    """The objective wants lam = 33, the limit says 25."""
-    objective = {"away": Term(1.0, away, True), "lam": Term(0.0, lam, True)}
+    """The objective wants kp = 1,030, the limit says 800."""
+    objective = {"away": Term(1.0, away, True), "stiffness": Term(0.0, stiffness, True)}
     settings = dataclasses.replace(SMALL, method=method, steps=40, learning_rate=0.05, patience=1.0)
-    options = {"settings": settings, "objective": objective, "only": ["control.lam"], "shared": ["control"]}
+    options = {"settings": settings, "objective": objective, "only": ["baseline.kp"], "shared": ["baseline"]}
     free = run(arm, scenarios, **options)
-    assert free.gains.control.lam[0] > 25.0 and free.within_limits and free.limits == {}
-    held = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
-    assert held.gains.control.lam[0] <= 25.0 and held.within_limits
+    assert free.gains.baseline.kp[0] > 800.0 and free.within_limits and free.limits == {}
+    held = run(arm, scenarios, limits={"stiffness": 800.0}, folder=tmp_path, **options)
+    assert held.gains.baseline.kp[0] <= 800.0 and held.within_limits
     assert held.best_step > 0 or method == "random"  # the search follows the loss alone, and may step over the limit
-    assert held.validation["lam"] == pytest.approx((20.0, float(held.gains.control.lam[0])))
-    again = run(arm, scenarios, limits={"lam": 25.0}, folder=tmp_path, **options)
+    assert held.validation["stiffness"] == pytest.approx((625.0, float(held.gains.baseline.kp[0])))
+    again = run(arm, scenarios, limits={"stiffness": 800.0}, folder=tmp_path, **options)
     same((again.gains, again.validation), (held.gains, held.validation))
     with pytest.raises(ValueError, match="another run: its limits differ"):
-        run(arm, scenarios, limits={"lam": 24.0}, folder=tmp_path, **options)
+        run(arm, scenarios, limits={"stiffness": 790.0}, folder=tmp_path, **options)
 
 
 def test_a_start_beyond_a_limit_gives_way_to_the_first_gains_within(arm, scenarios):
     """They are chosen although their loss is higher; where there are none, the start is the answer, and says so."""
-    objective = {"away": Term(1.0, away, True), "lam": Term(0.0, lam, True)}
+    objective = {"away": Term(1.0, away, True), "stiffness": Term(0.0, stiffness, True)}
     settings = dataclasses.replace(SMALL, steps=20, learning_rate=0.05, patience=1.0)
-    options = {"settings": settings, "objective": objective, "only": ["control.lam"], "shared": ["control"]}
-    start = jaxftc.default_gains(arm).replace({"control.lam": 40.0})
-    within = run(arm, scenarios, start, limits={"lam": 39.0}, **options)
-    assert within.gains.control.lam[0] <= 39.0 and within.within_limits
-    none = run(arm, scenarios, start, limits={"lam": 1.0}, **options)
+    options = {"settings": settings, "objective": objective, "only": ["baseline.kp"], "shared": ["baseline"]}
+    start = jaxftc.default_gains(arm).replace({"baseline.kp": 1200.0})
+    within = run(arm, scenarios, start, limits={"stiffness": 1150.0}, **options)
+    assert within.gains.baseline.kp[0] <= 1150.0 and within.within_limits
+    none = run(arm, scenarios, start, limits={"stiffness": 30.0}, **options)
     same(none.gains, start)
     assert not none.within_limits and none.best_step == 0 and np.isinf(none.history["best"]).all()
 
@@ -337,8 +337,8 @@ def test_what_the_checkpoint_belongs_to(arm, scenarios):
     start, problem = jaxftc.default_gains(arm), Problem(arm, OBJECTIVE, jax.random.key(0), 4)
     some = take(scenarios, slice(4))
     identities = []
-    for shared in ("control.lam", "control.eps"):
-        space = methods.transform.space(arm, start, ["control.lam", "control.eps"], [shared])
+    for shared in ("baseline.kp", "baseline.kd"):
+        space = methods.transform.space(arm, start, ["baseline.kp", "baseline.kd"], [shared])
         identities.append(checkpoint.identity(problem, space, some, some, SMALL))
     assert space.size == arm.n + 1 and identities[0] != identities[1]
 

@@ -14,7 +14,7 @@ from tests.arms import two_hinges
 from tests.contract.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform
 
-BATCH = 2
+BATCH = 8
 STEPS = (1e-5, 1e-4)  # rounding spoils the small one, kinks (torque travel) the large one
 # The poles and the stiff read-out behind them: a step of 1e-5 is a large one there.
 STIFF = {transform.POLES: (1e-7, 1e-6)}
@@ -29,7 +29,7 @@ class Setup(NamedTuple):
 
 @pytest.fixture(scope="module")
 def setup():
-    """Two scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
+    """Scenarios with both faults early in a run of 120 ms, so that every term has something to say."""
     config = jaxftc.Config(two_hinges(), engine="chain", duration=0.12)
     start = base_gains(config)
     # Close to the edge of stability, where that term has a slope; alpha_f1 and alpha_f3 are alike by default, a kink of
