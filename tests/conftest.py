@@ -5,6 +5,7 @@ import jax
 import pytest
 
 import jaxftc
+from tests.arms import two_hinges
 
 jax.config.update("jax_enable_x64", True)  # float32 tests say so with jax.enable_x64(False)
 
@@ -34,6 +35,6 @@ def paper_arm() -> jaxftc.Robot:
 
 
 @pytest.fixture(scope="session")
-def config(paper_arm) -> jaxftc.Config:
-    """Every stage of the cascade and the adaptive law, on the quick engine, for 60 ticks."""
-    return jaxftc.Config(paper_arm, engine="chain", duration=0.06)
+def config() -> jaxftc.Config:
+    """Every stage of the cascade and the adaptive law, on the quick engine, for 60 ticks of two joints."""
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.06)

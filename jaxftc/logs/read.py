@@ -19,7 +19,7 @@ from jaxftc.logs.clock import order, resample
 from jaxftc.logs.columns import Columns, find
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
-from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, timing_error, unwrapped
+from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, still, timing_error, unwrapped
 from jaxftc.logs.stamps import times as stamps
 from jaxftc.logs.text import MISSING
 from jaxftc.robot.arm_table import Arm, Recording
@@ -137,6 +137,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
         )
     even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
     q, torque = even.values
+    notes += still(robot, q)
     if len(q) < LEAST_ROWS:
         raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
     jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right

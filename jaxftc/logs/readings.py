@@ -12,6 +12,7 @@ NEAR = 0.3  # rad, of a whole turn, that still pass as a wrap
 MOST_TURNS = 2  # at once
 BRIEF, BEYOND = 2, 100.0  # rows of one joint with a number that is no angle; rad, where the model has no limits
 STRONG = 20.0  # times the limit, that no torque is
+TURNS = 0.05  # rad, by which a joint surely turns
 SLOW = 0.02  # rad/s; slower joints say nothing of the time
 FAR = 20.0  # rad; three turns and more are degrees where the model has no limits
 
@@ -58,6 +59,16 @@ def no_readings(robot: Robot, q: np.ndarray) -> np.ndarray:
             if stop - start > BRIEF or np.ptp(np.r_[q[max(start - 1, 0), j], q[min(stop, len(q) - 1), j]]) > JUMP:
                 far[start:stop, j] = False
     return far
+
+
+def still(robot: Robot, q: np.ndarray) -> list[str]:
+    """A line for each joint whose angle [T, n] never changes while another turns."""
+    travel = np.ptp(q, axis=0)
+    return [
+        f"joint {j + 1} ({robot.joint_names[j]}) reads {q[0, j]:.4g} rad in every row: it stood still, or its column is dead"
+        for j in np.flatnonzero(travel == 0)
+        if travel.max() > TURNS
+    ]
 
 
 def no_torques(tau: np.ndarray, limit: np.ndarray) -> str | None:

@@ -533,6 +533,7 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
     "milliseconds": (lambda t: t | {"t": 1000 * t["t"]}, "time is in ms"),
     "other names": (lambda t: our(t, q="actual_q_{}"), "angle taken from actual_q_1 to actual_q_3"),
     "a decimal comma": (lambda t: t, "numbers have a decimal comma"),
+    "a dead angle": (lambda t: t | {"q3": np.full(600, 0.4)}, "reads 0.4 rad in every row: it stood still, or its column"),
 }
 
 
@@ -560,7 +561,8 @@ def test_torques_that_show_nothing_are_not_doubted(arm, tmp_path):
     rng, t = np.random.default_rng(0), np.arange(600) / 100
     table = {"t": t, "q1": 0.1 * t, "q2": 0 * t - 0.6, "q3": 0 * t + 0.9}
     table |= {f"tau{j}": level + 0.5 * rng.standard_normal(600) for j, level in ((1, 5.0), (2, -12.0), (3, -3.0))}
-    assert logs.read(small_logs.write(tmp_path / "log.csv", table), arm).notes == ()
+    notes = logs.read(small_logs.write(tmp_path / "log.csv", table), arm).notes
+    assert len(notes) == 2 and all("stood still" in note for note in notes)
 
 
 def test_segments_do_not_touch(arm, good, tmp_path):
