@@ -35,6 +35,12 @@ def paper_arm() -> jaxftc.Robot:
 
 
 @pytest.fixture(scope="session")
+def puma_config(paper_arm) -> jaxftc.Config:
+    """The same as ``config`` on six joints, for what depends on them."""
+    return jaxftc.Config(paper_arm, engine="chain", duration=0.06)
+
+
+@pytest.fixture(scope="session")
 def config() -> jaxftc.Config:
     """Every stage of the cascade and the adaptive law, on the quick engine, for 60 ticks of two joints."""
     return jaxftc.Config(two_hinges(), engine="chain", duration=0.06)

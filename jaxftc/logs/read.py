@@ -188,9 +188,7 @@ def _cells(name: str, column: np.ndarray, unit: str) -> np.ndarray:
     return out
 
 
-def _angles(
-    robot: Robot, q: np.ndarray, found: Columns, options: _Options, notes: list[str]
-) -> tuple[np.ndarray, bool]:
+def _angles(robot: Robot, q: np.ndarray, found: Columns, options: _Options, notes: list[str]) -> tuple[np.ndarray, bool]:
     """Angles [rows, n] in rad, NaN where a number stands for a reading that was lost; whether they were in degrees.
 
     Raises:

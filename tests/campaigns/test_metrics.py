@@ -75,11 +75,11 @@ def test_truth_comes_from_what_was_really_there():
 
 def test_a_run_that_diverged_is_refused(config):
     trace = {
-        name: np.zeros((10, 6)) for name in ("q", "q_ref", "fault_tau", "fault_q", "fault_tau_hat", "fault_q_hat", "tau")
+        name: np.zeros((10, 2)) for name in ("q", "q_ref", "fault_tau", "fault_q", "fault_tau_hat", "fault_q_hat", "tau")
     }
-    trace |= {"verdict": np.zeros((10, 6), int)}
+    trace |= {"verdict": np.zeros((10, 2), int)}
     metrics.evaluate(config, trace)
-    trace["q"][7:, 2] = np.nan
+    trace["q"][7:, 1] = np.nan
     with pytest.raises(ValueError, match=r"diverged.*0.007 s.*smaller"):
         metrics.evaluate(config, trace)
 

@@ -193,7 +193,7 @@ def test_table_1_inference_is_the_double_sum(name, config, rng):
 
 def test_equal_outputs_make_table_1_a_constant(config, rng):
     gains = dataclasses.replace(jaxftc.default_gains(config).control, outputs=jnp.full(3, 1.7))
-    value = fuzzy_gain.alpha_online(config, gains, jnp.asarray(rng.normal(size=6)), jnp.asarray(rng.normal(size=6)))
+    value = fuzzy_gain.alpha_online(config, gains, *(jnp.asarray(rng.normal(size=config.n)) for _ in range(2)))
     np.testing.assert_allclose(value, 1.7, rtol=1e-12)
 
 
@@ -286,11 +286,12 @@ def test_zero_gains_leave_the_open_model(config):
     gains = jaxftc.default_gains(config)
     off = ("alpha_i", "alpha_sm", "alpha_sm0", "alpha_f1", "alpha_f2", "alpha_f3")
     gains = gains.replace({f"observer.{name}": 0.0 for name in off} | {"observer.alpha_p": 1e-300})
-    state, on = cascade.init(config, gains, jnp.ones(6)), stages.of(config)
-    reading = cascade.Reading(jnp.full(6, 1.3), jnp.zeros(6), sensor_check.nothing_found(jnp.zeros(6)))
+    state, on = cascade.init(config, gains, jnp.ones(config.n)), stages.of(config)
+    zero = jnp.zeros(config.n)
+    reading = cascade.Reading(zero + 1.3, zero, sensor_check.nothing_found(zero))
     for _ in range(5):
         state, seen = cascade.correct(config, gains, state, reading, on)
-        state = cascade.adapt(config, gains, state, seen, jnp.zeros(6), jnp.ones(6), on)
+        state = cascade.adapt(config, gains, state, seen, zero, zero + 1, on)
         state = cascade.apply_input(gains, state, seen.psi)
         np.testing.assert_allclose(seen.y_hat, 1.0, atol=1e-9)
         np.testing.assert_array_equal(seen.psi, 0.0)

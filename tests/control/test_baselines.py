@@ -59,7 +59,7 @@ def of(config: jaxftc.Config, scheme: str, **change: object) -> jaxftc.Config:
 def test_unknown_schemes_and_states_of_another_are_refused(config):
     with pytest.raises(ValueError, match=r"got 'momentun'.*'momentum'"):
         of(config, "momentun")
-    gains, q = jaxftc.default_gains(config), jnp.zeros(N)
+    gains, q = jaxftc.default_gains(config), jnp.zeros(config.n)
     told = jaxftc.Reference(q, q, q), jaxftc.Measurement(q, q)
     state = jaxftc.init(of(config, "momentum"), gains, q)
     with pytest.raises(ValueError, match=r"'cascade'.*got jaxftc.schemes.momentum.State"):
@@ -68,7 +68,7 @@ def test_unknown_schemes_and_states_of_another_are_refused(config):
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_every_scheme_starts_by_holding_the_arm(config, scheme):
-    config, q = of(config, scheme), jnp.linspace(-1.0, 1.0, N)
+    config, q = of(config, scheme), jnp.linspace(-1.0, 1.0, config.n)
     held = jaxftc.inverse_dynamics(config.robot, q, 0 * q, 0 * q)
     state = jaxftc.init(config, jaxftc.default_gains(config), q)
     np.testing.assert_allclose(state.command.tau, held, atol=1e-12)
@@ -316,10 +316,10 @@ def test_a_joint_without_a_reference_holds_its_angle(scheme):
 def test_the_printed_super_twisting_is_the_papers(config):
     config = dataclasses.replace(config, sign="hard")
     gains = align(jaxftc.default_gains(config).replace({"observer.alpha_sm0": 20.0}), 0)
-    state, errors = super_twisting.State(jnp.zeros(N)), np.random.default_rng(3).normal(size=(5, N)) * 1e-3
-    late = np.zeros(N)
+    state, errors = super_twisting.State(jnp.zeros(config.n)), np.random.default_rng(3).normal(size=(5, config.n)) * 1e-3
+    late = np.zeros(config.n)
     for e in errors:
-        inputs = Inputs(jnp.asarray(e), jnp.zeros(N), stages.of(config))
+        inputs = Inputs(jnp.asarray(e), jnp.zeros_like(e), stages.of(config))
         state, psi = super_twisting.printed(config, gains, state, inputs)
         np.testing.assert_allclose(psi, late, atol=1e-12)
         late = np.array([printed.psi_sm_eq7(x, 120.0, 20.0) for x in e])

@@ -410,7 +410,9 @@ def as_logger(path, folder):
     """The same table as another logger writes it: a title, semicolons, decimal commas, a row of units, degrees."""
     head, *rows = (line.split(",") for line in path.read_text().splitlines())
     units = ["s"] + ["deg" if name.startswith("q") else "Nm" for name in head[1:]]
-    turned = [[f"{np.rad2deg(float(x)):.9g}" if n.startswith("q") else x for n, x in zip(head, row, strict=True)] for row in rows]
+    turned = [
+        [f"{np.rad2deg(float(x)):.9g}" if n.startswith("q") else x for n, x in zip(head, row, strict=True)] for row in rows
+    ]
     lines = ["Prüfstand 3", *(";".join(cells).replace(".", ",") for cells in (head, units, *turned))]
     (folder / "logger.txt").write_text("\n".join(lines), encoding="latin-1")
     return folder / "logger.txt"

@@ -411,6 +411,11 @@ def test_scenarios_are_refused(config):
 # Gains files.
 
 
+@pytest.fixture(scope="module")
+def config(puma_config) -> jaxftc.Config:
+    return puma_config
+
+
 @pytest.fixture
 def gains_file(config, tmp_path) -> Path:
     path = tmp_path / "gains.toml"

@@ -34,6 +34,11 @@ from jaxftc.scenarios.presets import PRESET_NAMES
 BUILT_IN = importlib.resources.files("jaxftc.scenarios.presets")
 
 
+@pytest.fixture(scope="module")
+def config(puma_config) -> jaxftc.Config:
+    return puma_config
+
+
 @pytest.fixture
 def load(tmp_path, monkeypatch):
     """A function from the text of ``my.toml`` to its preset."""

@@ -36,6 +36,11 @@ INERTIAL = '<inertial pos="0 0 .1" mass="1" diaginertia=".1 .1 .1"/>'
 
 
 @pytest.fixture(scope="module")
+def config(puma_config) -> jaxftc.Config:
+    return puma_config
+
+
+@pytest.fixture(scope="module")
 def many(config):
     return {name: arrays(jaxftc.sample_scenarios(jax.random.key(3), 4000, preset=name, config=config)) for name in DRAWN}
 

@@ -20,15 +20,15 @@ def test_loss_figure_has_every_term():
 
 def test_gains_figure_shows_what_moved_and_only_that(config):
     before = jaxftc.default_gains(config)
-    lam = before.control.lam * jnp.arange(1.0, 7.0)
+    lam = before.control.lam * jnp.arange(1.0, 3.0)
     after = before.replace({"control.lam": lam})
     (dots,) = report.gains_figure(config, before, after).data
-    assert set(dots.y) == {"control.lam"} and np.allclose(dots.x, np.arange(1, 7))
+    assert set(dots.y) == {"control.lam"} and np.allclose(dots.x, [1, 2])
     assert dots.text[1] == "control.lam[1]: 20 to 40 1/s"
 
 
-def test_the_gains_that_moved_are_printed_with_their_units(config):
-    before = jaxftc.default_gains(config)
+def test_the_gains_that_moved_are_printed_with_their_units(puma_config):
+    before = jaxftc.default_gains(puma_config)
     kappa = before.arx.kappa_a.at[0, 0].mul(2.0)
     after = before.replace({"control.lam": np.arange(1.0, 7.0), "control.eps": 0.25, "arx.kappa_a": kappa})
     kappas, lam, eps = report.moved(before, after)

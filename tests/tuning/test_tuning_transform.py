@@ -82,7 +82,7 @@ def test_a_gain_that_starts_at_0_can_move(config, start):
 
 
 def test_shared_gains_move_alike_from_their_own_values(config, start):
-    own = start.replace({"observer.alpha_i": jnp.arange(1.0, 7.0) * 100})
+    own = start.replace({"observer.alpha_i": jnp.arange(1.0, 3.0) * 100})
     space = transform.space(config, own, ["observer.alpha_i"], shared=["observer"])
     assert space.size == 1
     np.testing.assert_allclose(space.gains(jnp.ones(1)).observer.alpha_i, np.e * own.observer.alpha_i)
