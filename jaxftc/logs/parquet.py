@@ -42,7 +42,7 @@ def count(path: Path) -> int:
 
 
 def cut(path: Path, rows: int, folder: Path) -> Iterator[Path]:
-    """The file in parts of ``rows`` rows, in order, each with the first row of the next; the last one is removed each time."""
+    """The file in parts of ``rows`` rows, in order, each with the first row of the next; one part is there at a time."""
     part = folder / path.name
     for first in range(0, count(path), rows):
         tables.copy(path, part, rows + 1, first)

@@ -58,7 +58,7 @@ def count(path: Path) -> int:
 
 
 def cut(path: Path, rows: int, folder: Path) -> Iterator[Path]:
-    """The file in parts of ``rows`` lines, in order, each with the first line of the next; the last part is removed each time.
+    """The file in parts of ``rows`` lines, in order, each with the first line of the next; one part is there at a time.
 
     What stands before the first row stands before each of them.
     """

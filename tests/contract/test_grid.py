@@ -2,8 +2,8 @@
 
 By default a few small programs in which every observer, controller and scheme and both ends of the other axes occur; with
 ``-m slow`` each entry point goes through all of them. In float32, as the library runs unless told otherwise. The gradient of
-the cascade takes longest to compile: ``test_tuning_gradients.py`` has it in batches of 8, ``test_lower_bounds.py`` of 16; seven
-joints are in ``test_robot_doors.py``.
+the cascade takes longest to compile: ``test_tuning_gradients.py`` has it in batches of 8, ``test_lower_bounds.py`` of 16;
+seven joints are in ``test_robot_doors.py``.
 """
 
 import os
