@@ -256,7 +256,7 @@ def tick_slopes(sign: str):
     return jax.jit(jax.grad(cost, argnums=(0, 1, 2, 3)))
 
 
-@pytest.mark.parametrize("sign", ["smooth", "hard"])
+@pytest.mark.parametrize("sign", ["smooth", pytest.param("hard", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kink", KINKS)
 def test_slopes_of_a_tick_are_finite_at_its_kinks(sign, kink):
     config = jaxftc.Config(three_hinges(), engine="chain", sign=sign)

@@ -206,6 +206,7 @@ def call(*words):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_campaigns_find_it_in_another_process(here):
     """Compared with one of ours, gone on with, replayed from the folder alone, and refused when its code has changed."""
     run = ["campaign", "--robot", "arm.xml", "--duration", "0.15", "--out", "run", "--scheme", "pd_gravity", "--worst", "0"]

@@ -245,6 +245,7 @@ def calibrated(small, constant):
         return [calibrate(small, low, hard, jax.random.key(61), false_alarms=0.05, follow=kind) for kind in (False, True)]
 
 
+@pytest.mark.slow
 def test_moving_thresholds_keep_the_promise_on_fresh_runs(calibrated):
     plain, moving = calibrated
     assert plain.shares is None and moving.shares is not None
@@ -252,6 +253,7 @@ def test_moving_thresholds_keep_the_promise_on_fresh_runs(calibrated):
     assert (moving.shares.loss < 1).any() and (moving.shares.values >= 0).all()
 
 
+@pytest.mark.slow
 def test_they_are_lower_at_rest_and_constant_ones_are_as_before(calibrated, small, constant):
     plain, moving = calibrated
     follows = moving.shares.values.any(1)

@@ -70,7 +70,7 @@ def detect(config, conditions, seeds):
     return {condition: found[k * seeds : (k + 1) * seeds] for k, condition in enumerate(conditions)}
 
 
-@pytest.mark.parametrize("coulomb", [False, True])
+@pytest.mark.parametrize("coulomb", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_no_alarm_without_a_fault_in_200_seeds(coulomb):
     with jax.enable_x64(False):
         config = jaxftc.Config(jaxftc.puma560(coulomb=coulomb), engine="chain")

@@ -253,7 +253,7 @@ def test_a_relative_cache_home_is_ignored(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "observer", [*(pytest.param(o, marks=pytest.mark.slow) for o in ("pi", "eso")), "ts", "eso_printed"]
+    "observer", [*(pytest.param(o, marks=pytest.mark.slow) for o in ("pi", "eso", "eso_printed")), "ts"]
 )
 def test_stages_as_data_give_what_the_config_gives(short, observer):
     """One program for every observer and controller, against a program that knows which."""

@@ -105,7 +105,8 @@ def test_a_program_is_spread_over_devices():
     np.testing.assert_array_equal(jax.jit(spread)(jnp.arange(4.0)), 2 * np.arange(4.0))
 
 
-# One way through: every command that computes, on the arm from the file, one after the other.
+# One way through: every command that computes, on the arm from the file, one after the other. Other tests have them one by
+# one, so this is slow, and for the lowest versions.
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +124,7 @@ def results(arm, request) -> Path:
     return arm.parent / "runs"
 
 
+@pytest.mark.slow
 def test_a_simulated_run_is_quiet_and_its_log_reads_back(arm, results):
     config = jaxftc.Config(jaxftc.load_robot(arm), engine="chain", duration=0.3)
     result = json.loads((results / "simulate-1" / "result.json").read_text())
@@ -133,12 +135,14 @@ def test_a_simulated_run_is_quiet_and_its_log_reads_back(arm, results):
     assert not np.asarray(out.detected).any()
 
 
+@pytest.mark.slow
 def test_tuned_gains_read_back(arm, results):
     config = jaxftc.Config(jaxftc.load_robot(arm), engine="chain")
     chex.assert_tree_all_finite(jaxftc.load_gains(results / "tune-1" / "gains.toml", config))
     assert "</html>" in (results / "tune-1" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_campaign_counts_its_scenarios(results):
     found = json.loads((results / "campaign-1" / "summary.json").read_text())
     assert (found["n"], found["diverged"]) == (4, 0)

@@ -284,6 +284,7 @@ def small_and_large(large: jaxftc.Robot):
     return pytest.mark.parametrize("arm", [two_hinges(), pytest.param(large, marks=pytest.mark.slow)], ids=["2", "6"])
 
 
+@pytest.mark.slow
 @small_and_large(jaxftc.puma560())
 def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(arm):
     q, qd, tau = random_states(8, arm.n)
