@@ -22,7 +22,7 @@ ROUND = 5  # gradient steps between two validations, at most
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How to search; ``check`` says whether it can be done.
+    """How to search.
 
     Attributes:
         method: Gradient through the closed loop; CMA-ES, random search or finite differences with
@@ -38,8 +38,7 @@ class Settings:
             and in memory.
         anneal: Factor on the widths of both smooth signs at the first and the last step; the
             gains get the last one.
-        patience: Share of the steps without a better validation after which it stops; 1 never
-            stops early.
+        patience: Stop after this share of the steps without a better validation; 1 never stops early.
     """
 
     method: Literal["gradient", "cmaes", "random", "finite"] = "gradient"

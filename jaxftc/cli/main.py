@@ -21,16 +21,19 @@ if TYPE_CHECKING:
 GROUP = "jaxftc.commands"
 COMMANDS = {
     "demo": "jaxftc.cli.demo:Demo",
-    "inspect": "jaxftc.cli.inspect:Inspect",
     "simulate": "jaxftc.cli.simulate:Simulate",
+    "view": "jaxftc.cli.view:View",
     "campaign": "jaxftc.cli.campaign:Campaign",
-    "identify": "jaxftc.cli.identify:Identify",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
+    "inspect": "jaxftc.cli.inspect:Inspect",
+    "identify": "jaxftc.cli.identify:Identify",
     "diagnose": "jaxftc.cli.diagnose:Diagnose",
     "export": "jaxftc.cli.export:Export",
-    "view": "jaxftc.cli.view:View",
 }
-DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
+DESCRIPTION = """Fault diagnosis and fault-tolerant control for robot arms.
+
+Start with jaxftc demo. For the options of a command: jaxftc simulate --help. For the version: jaxftc --version.
+"""
 
 
 def commands() -> dict[str, Any]:
@@ -70,6 +73,13 @@ def _absent(entry: EntryPoint, error: ModuleNotFoundError) -> Any:
     return dataclasses.make_dataclass(entry.name.capitalize(), [words], namespace=space)
 
 
+def _summary(command: Any) -> Any:
+    """A command without options whose help is the first line of the real one's, for the list of commands."""
+    import dataclasses
+
+    return dataclasses.make_dataclass(command.__name__, [], namespace={"__doc__": command.__doc__.partition("\n")[0]})
+
+
 def parse(arguments: list[str] | None = None) -> Any:
     """The command's dataclass, filled in; leaves with exit code 2 on unknown options.
 
@@ -82,7 +92,10 @@ def parse(arguments: list[str] | None = None) -> Any:
     for word in words:
         if any("\ud800" <= letter <= "\udfff" for letter in word):
             raise ValueError(f"arguments and names of files must be UTF-8, got {os.fsencode(word)!r}; rename it")
-    command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
+    known = commands()
+    if words[:1] in (("-h",), ("--help",)):
+        known = {name: _summary(command) for name, command in known.items()}
+    command = tyro.extras.subcommand_cli_from_dict(known, prog="jaxftc", description=DESCRIPTION, args=words)
     from jaxftc.cli import common, results
 
     for name, value in results.given(command):
