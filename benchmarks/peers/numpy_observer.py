@@ -11,7 +11,7 @@ late or leap by more than a joint turns in a tick (``reach.SPEED * dt``) is left
 * during a pause the model stays within a tick's turn of the last angle, and after it jumps do not count until it settles.
 
 ``numpy_controller`` leaves out two rules of the sensor check alike: the size of a coarse encoder's counts, and that readings
-must be lost in a row to make a freeze. With biases as faults the two agree, which ``tests/project/test_benchmarks.py`` shows.
+must be lost in a row to make a freeze. With biases as faults the two agree (``tests/project/test_benchmarks.py``).
 """
 
 from __future__ import annotations
