@@ -31,13 +31,12 @@ class Settings:
         batch: Scenarios per step.
         validation: Scenarios on which the best gains are chosen; never trained on.
         optimizer: Rule of the gradient steps, after clipping. From Python also any
-            optax.GradientTransformation, made with rate 1.
-        learning_rate: In units of theta: 0.1 changes a gain without an upper limit by about 10 %
-            a step.
-        mode: Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains,
-            and in memory.
-        anneal: Factor on the widths of both smooth signs at the first and the last step; the
-            gains get the last one.
+            optax.GradientTransformation with a rate of 1.
+        learning_rate: Step size; 0.1 changes a gain without an upper limit by about 10 % a step.
+        mode: Reverse mode with checkpoints, or forward mode, which is cheaper for up to about five
+            gains and needs less memory.
+        anneal: Factors on the widths of both smooth signs, at the first and at the last step; the
+            last one is in the tuned gains.
         patience: Stop after this share of the steps without a better validation; 1 never stops early.
     """
 
