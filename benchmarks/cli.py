@@ -31,11 +31,11 @@ class Bench(common.Options):
     """
 
     suite: tyro.conf.Positional[Literal["speed", "tuning", "ranking"]] = "speed"
-    """What to measure."""
+    """Suite to run."""
     sections: tuple[Section, ...] = SECTIONS
-    """What to measure of it (speed)."""
+    """Parts to measure (speed)."""
     quick: bool = False
-    """Small sizes: shows that all of it works, its figures are not to be compared (speed)."""
+    """Small sizes, to see that everything works; the figures cannot be compared (speed)."""
     largest: int = 100_000
     """Scenarios of the largest campaign (speed)."""
     gate: bool = False
@@ -44,7 +44,7 @@ class Bench(common.Options):
     """Make this run the committed baseline and results (speed)."""
     settings: tyro.conf.OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
     engine: Literal["mjx", "chain"] = "chain"
-    """Plant dynamics (tuning, ranking)."""
+    """Simulated arm (tuning, ranking): recursions unrolled from its model, or MuJoCo MJX."""
     coulomb: bool = True
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
@@ -52,7 +52,7 @@ class Bench(common.Options):
     seeds: int = 5
     """Seeds of each method (tuning)."""
     methods: tuple[Literal["cmaes", "random", "finite"], ...] = ("cmaes", "random", "finite")
-    """What the gradient is measured against (tuning)."""
+    """Methods that the gradient is compared with (tuning)."""
     more: float = 1.0
     """Factor on the budget of CMA-ES (tuning)."""
     held_out: int = 1024

@@ -8,7 +8,7 @@ import secrets
 import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tuning.loop import Result
     from tuning.terms import Term
 
+Terms = Annotated[tuple[str, ...], common.left_out("TERM=NUMBER ...")]
 HELD_OUT = 0x48454C44  # keeps held-out scenarios apart from those of a training seed with the same number
 
 
@@ -31,54 +32,49 @@ HELD_OUT = 0x48454C44  # keeps held-out scenarios apart from those of a training
 class Tune(common.Options):
     """Tune the gains on simulated faults; writes gains.toml, history.parquet, report.html and result.json.
 
-    A run that was stopped goes on when the same command is given again with the same --out.
+    To resume a run that was stopped, give the same command with the same --out.
     """
 
     settings: tyro.conf.OmitArgPrefixes[Settings] = dataclasses.field(default_factory=Settings)
     engine: Literal["mjx", "chain"] = "chain"
-    """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
+    """Simulated arm: recursions unrolled from its model, or MuJoCo MJX (same motion, several times slower)."""
     coulomb: bool = True
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
     """Seed of the scenarios, their noise and the search."""
     preset: str = "standard"
-    """Laws that the training scenarios are drawn from: standard, hard, doubles, uncommon, paper, or your own TOML file."""
-    scheme: str = "cascade"
-    """What diagnoses and controls: cascade, adaptive (the cascade with an arm that is learned), momentum, ekf,
-    computed_torque, or your own, module:object."""
+    """Distributions of the training scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    scheme: common.Scheme = "cascade"
     observer: Literal["pi", "eso", "ts"] = "ts"
-    """PI, with super-twisting, with Takagi-Sugeno."""
+    """PI, PI with super-twisting, or both with the Takagi-Sugeno stage."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
-    """Sliding mode, with estimation, with the fuzzy gain."""
+    """Sliding mode, with fault estimates, or with these and the fuzzy gain."""
     rules: Literal["printed", "symmetric", "s_only"] = "printed"
-    """Table 1 as printed, or its mended forms."""
-    duration: float | None = None
+    """Table 1 of the paper as printed, or its corrected forms."""
+    duration: common.MaybeNumber = None
     """Length of a simulated run, s; the motion's, 1 s, if not given."""
-    only: tuple[str, ...] = ()
-    """Gains or blocks to tune (observer.alpha_i, control, ...); all but the poles and what torque thresholds
-    follow if not given. arx.xi_a is both poles."""
-    freeze: tuple[str, ...] = ()
+    only: common.Names = ()
+    """Gains or blocks to tune, such as observer.alpha_i control (docs/gains.md); most if not given."""
+    freeze: common.Names = ()
     """Gains or blocks to leave as they are."""
-    shared: tuple[str, ...] = ()
-    """Gains or blocks to move on all joints alike; the others move joint by joint."""
-    weight: tuple[str, ...] = ()
-    """Weights of terms of the objective, such as delay=3 tracking=2; the others keep theirs."""
-    limit: tuple[str, ...] = ()
-    """Largest means of terms on the validation scenarios, such as delay=0.02: gains beyond one are never chosen."""
+    shared: common.Names = ()
+    """Gains or blocks that change by the same factor on all joints; the others change joint by joint."""
+    weight: Terms = ()
+    """Weights of terms of the objective, such as delay=3 tracking=2 (docs/tuning.md)."""
+    limit: Terms = ()
+    """Upper limits of terms on the validation scenarios, such as delay=0.2; gains beyond one are never chosen."""
     held_out: int = 512
     """Scenarios of each preset, standard and hard, on which the gains are compared in the end."""
-    held_out_seed: int | None = None
-    """Seed of those scenarios, whatever ``--seed`` is; if not given a fresh one, which result.json keeps."""
-
+    held_out_seed: common.MaybeInteger = None
+    """Seed of the held-out scenarios; a random one, recorded in result.json, if not given."""
     distributed: bool = False
-    """One run on several processes, begun by srun, mpirun or by hand with the next three options; each has a share of every
-    batch. The folder of --out is read and written by the first alone."""
-    coordinator: str | None = None
-    """HOST:PORT of the first process, where the launcher does not tell; any port there that is free."""
-    processes: int | None = None
-    """Number of processes, where the launcher does not tell."""
-    process: int | None = None
-    """Which one this is, from 0, where the launcher does not tell."""
+    """Be one of several processes, started by srun, mpirun or by hand, that share every batch (docs/scale.md)."""
+    coordinator: Annotated[str | None, common.left_out("HOST:PORT")] = None
+    """Address of the first process, with any free port; needed if started by hand, as are the next two."""
+    processes: common.MaybeInteger = None
+    """Number of processes."""
+    process: common.MaybeInteger = None
+    """Number of this process, from 0."""
 
     def run(self) -> None:
         """Tune, compare, write."""
@@ -135,6 +131,8 @@ class Tune(common.Options):
                     folder=folder,
                     on_round=bar.show,
                 )
+            if writes:
+                common.say(self, f"comparing the gains on {self.held_out} held-out scenarios of each preset")
             unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
             comparisons = compare(
                 config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
@@ -151,7 +149,7 @@ class Tune(common.Options):
         from tuning import terms
 
         objective = terms.weighted(terms.OBJECTIVE, common.numbers("--weight", self.weight, "delay=3"))
-        limits = common.numbers("--limit", self.limit, "delay=0.02")
+        limits = common.numbers("--limit", self.limit, "delay=0.2")
         terms.check_terms("limit", objective, limits)
         return objective, limits
 
@@ -187,7 +185,7 @@ class Tune(common.Options):
             if self.force:
                 (folder / checkpoint.NAME).unlink(missing_ok=True)
             if self.out is None:
-                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
+                common.say(self, f"To resume after a stop: the same command with --out {shlex.quote(str(folder))}")
             yield folder
 
     def _write(
@@ -257,7 +255,7 @@ def summary(result: Result, comparisons: list[Comparison], seed: int) -> str:
     ]
     for name, limit in result.limits.items():
         before, after = result.validation[name]
-        kept = "kept" if after <= limit else "NOT KEPT: no gains were found that keep every limit"
+        kept = "kept" if after <= limit else f"NOT KEPT by any step: relax it, give --weight {name}=..., or more --steps"
         lines.append(f"limit {name} {limit:g}: {before:.4f} -> {after:.4f} on the validation scenarios, {kept}")
     for c in comparisons:
         (before, after), (low, high) = c.objective, c.ratio[1:]

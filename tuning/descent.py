@@ -78,6 +78,8 @@ class Descent:
         slope = problem.slope_of(space.layout, mode, space.size)
 
         def gradient_steps(key: Array, free: Free, state: State, xs: Any) -> tuple[State, Steps]:
+            """A step for each of ``xs``: rates, widths, scenarios [..., B] and start [terms, B], with a leading axis."""
+
             def one(state: State, x: tuple[Array, Array, Scenario, Array]) -> tuple[State, Steps]:
                 rate, *rest = x
                 terms, slopes = slope(key, free, state.theta, *rest)

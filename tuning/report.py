@@ -36,8 +36,7 @@ def page_of(config: Config, start: Gains, result: Result, comparisons: list[Comp
         "<h2>Held out</h2>",
         embed(held_out_figure(comparisons)),
         *(_table(c) for c in comparisons),
-        "<h2>How the loss fell</h2>",
-        embed(loss_figure(result)),
+        *(["<h2>Loss</h2>", embed(loss_figure(result))] if len(result.history["loss"]) > 1 else []),
         "<h2>Gains, before and after</h2>",
         embed(gains_figure(config, start, result.gains)) if moved(start, result.gains) else "<p>No gain moved.</p>",
     ]
@@ -109,8 +108,10 @@ def loss_figure(result: Result) -> go.Figure:
         figure.add_scatter(x=x, y=h[name], name=name[5:], line=line, row=2, col=1)
     figure.update_yaxes(title_text="loss", row=1, col=1)
     figure.update_yaxes(title_text="mean of term, last batch", row=2, col=1)
-    note = "Batches differ, so their curves are noisy; the validation set is always the same. A gradient counts as several "
-    "simulations."
+    note = (
+        "Batches differ, so their curves are noisy; the validation set is always the same. A gradient counts as several "
+        "simulations."
+    )
     finish(figure, "Loss and its terms", note, panels=3)
     figure.layout["xaxis2"].title = "closed-loop simulations"
     return figure

@@ -22,7 +22,7 @@ ROUND = 5  # gradient steps between two validations, at most
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """How to search; ``check`` says whether it can be done.
+    """How to search.
 
     Attributes:
         method: Gradient through the closed loop; CMA-ES, random search or finite differences with
@@ -31,15 +31,13 @@ class Settings:
         batch: Scenarios per step.
         validation: Scenarios on which the best gains are chosen; never trained on.
         optimizer: Rule of the gradient steps, after clipping. From Python also any
-            optax.GradientTransformation, made with rate 1.
-        learning_rate: In units of theta: 0.1 changes a gain without an upper limit by about 10 %
-            a step.
-        mode: Reverse mode with checkpoints, or forward mode: cheaper for up to about five gains,
-            and in memory.
-        anneal: Factor on the widths of both smooth signs at the first and the last step; the
-            gains get the last one.
-        patience: Share of the steps without a better validation after which it stops; 1 never
-            stops early.
+            optax.GradientTransformation with a rate of 1.
+        learning_rate: Step size; 0.1 changes a gain without an upper limit by about 10 % a step.
+        mode: Reverse mode with checkpoints, or forward mode, which is cheaper for up to about five
+            gains and needs less memory.
+        anneal: Factors on the widths of both smooth signs, at the first and at the last step; the
+            last one is in the tuned gains.
+        patience: Stop after this share of the steps without a better validation; 1 never stops early.
     """
 
     method: Literal["gradient", "cmaes", "random", "finite"] = "gradient"

@@ -1,4 +1,18 @@
-"""The observer cascade as most people write it: NumPy arrays [n], one arm, one tick a call. The T-S observer only."""
+"""The observer cascade as most people write it: NumPy arrays [n], one arm, one tick a call. The T-S observer only.
+
+It is for arms whose faults are biases: what ``jaxftc.observer.cascade`` does beyond that for readings which are coarse, come
+late or leap by more than a joint turns in a tick (``reach.SPEED * dt``) is left out. That is:
+
+* a coarse reading (``resolution``) stands for the nearest angle within its count, and its jumps are not attributed to b;
+* a reading that leaps is not used while its sensor is noisy or suspect, or while others are not used either;
+* a pause sets b to 0 if the reading comes back nearer to the prediction without b; here b outlives every pause;
+* a reading that comes back from a pause far off has leapt, and its leap goes to b; here the model moves to it;
+* a leap that takes b back to almost 0 ends the fault, and the model takes up the rest;
+* during a pause the model stays within a tick's turn of the last angle, and after it jumps do not count until it settles.
+
+``numpy_controller`` leaves out two rules of the sensor check alike: the size of a coarse encoder's counts, and that readings
+must be lost in a row to make a freeze. With biases as faults the two agree (``tests/project/test_benchmarks.py``).
+"""
 
 from __future__ import annotations
 

@@ -146,6 +146,7 @@ def _program(
     """
 
     def block(key: Array, on: stages.Stages | None, gains: Gains, scenarios: Scenario) -> tuple[online.Score, Trace]:
+        """Scores [..., scenarios] and the trace [T, n] of the first; scenarios have a trailing axis."""
         gains = gains if follows else threshold.known_constant(gains)
         true = online.truth(config, scenarios)
 

@@ -38,14 +38,14 @@ class Job(NamedTuple):
     """Everything that a row depends on, its id apart."""
 
     config: Config
-    gains: Gains
-    preset: Preset
-    seed: int
+    gains: Gains  # with the thresholds that the campaign runs with
+    preset: Preset  # distributions of the scenarios
+    seed: int  # of the scenarios and of their noise
     scheme: str = "cascade"  # its name in the table of variants
 
     @property
     def keys(self) -> tuple[Array, Array]:
-        """Of the scenarios, and of their noise."""
+        """Random keys of the scenarios and of their noise."""
         draws, noise = jax.random.split(jax.random.fold_in(jax.random.key(self.seed), UNSEEN))
         return draws, noise
 
@@ -67,7 +67,8 @@ def variant(base: Config, name: str) -> Config:
     return dataclasses.replace(base, **changes(name))  # pyright: ignore[reportArgumentType]
 
 
-Runner = Callable[[Job, Iterable[store.Chunk], Callable[[int], object]], None]  # it runs chunks and tells of their rows
+# Runs chunks of a job, has their files count, and calls the last argument with the rows of each.
+Runner = Callable[[Job, Iterable[store.Chunk], Callable[[int], object]], None]
 
 
 def here(job: Job, chunks: Iterable[store.Chunk], tell: Callable[[int], object]) -> None:
@@ -98,7 +99,16 @@ def complete(
 ) -> Progress:
     """Run what is missing of the first n scenarios of a folder that ``begin`` has seen.
 
-    ``done`` is told of rows, ``note`` of files that could not be kept.
+    Args:
+        folder: The campaign's, with its manifest.
+        job: As ``begin`` returned it.
+        n: Number of scenarios, those that are there included.
+        done: Called with the number of rows that are newly there, found or run.
+        note: Called with a line of text for each file that has to be run again.
+        run: Where chunks run: in this process, or on workers (``tasks.spread``).
+
+    Returns:
+        What was there, what was run, and how fast.
 
     Raises:
         OSError: a chunk cannot be written; those before it are there.
@@ -110,6 +120,7 @@ def complete(
         done(count)
 
     def missing() -> Iterator[store.Chunk]:
+        """Chunks whose file is absent, damaged or shorter than it must be now."""
         nonlocal kept
         for chunk in store.chunks(folder, n, store.read_manifest(folder)["chunk"]):
             fault = store.fault_of(chunk)
@@ -141,9 +152,19 @@ def begin(
     follow: bool = False,
     note: Callable[[str], object] = lambda text: None,
 ) -> tuple[Job, dict[str, Any]]:
-    """The folder's campaign: that of an earlier call if it was the same request, a new one otherwise; and its manifest.
+    """The folder's campaign: that of an earlier call if it was the same request, a new one otherwise.
 
-    A new one sets the thresholds first, if a share of false alarms is given; ``follow`` is ``calibrate``'s.
+    Args:
+        folder: Where the campaign is, or will be.
+        job: What was asked for; its gains are replaced by the folder's, or by calibrated ones.
+        request: The options that rows depend on, for the manifest.
+        false_alarms: Share of healthy runs with an alarm, 0 to 1, that a new campaign sets its thresholds for first.
+        done: Called with the number of healthy runs that are newly through.
+        follow: Whether torque thresholds follow the motion, as in ``calibrate``.
+        note: Called with a line of text where versions differ from those that the campaign was begun with.
+
+    Returns:
+        The job with the gains that run, and the manifest.
 
     Raises:
         ValueError: the folder holds another campaign, or the thresholds cannot be set.
@@ -178,7 +199,16 @@ def set_thresholds(
     confidence: float = 0.95,
     follow: bool = False,
 ) -> Calibration:
-    """Thresholds for a share of healthy runs with an alarm, on motions and arms that the preset's campaign does not see."""
+    """Thresholds for a share of healthy runs with an alarm, on motions and arms that the preset's campaign does not see.
+
+    Args:
+        job: Config, gains to start from, preset and seed.
+        false_alarms: Share of healthy runs with an alarm, 0 to 1.
+        done: Called with the number of runs that are newly through.
+        runs: Healthy runs; one half sets the thresholds, the other checks them.
+        confidence: Probability with which the share is not larger, 0 to 1.
+        follow: Whether torque thresholds follow the motion.
+    """
     draws, noise = jax.random.split(jax.random.fold_in(jax.random.key(job.seed), CALIBRATION))
     scenarios = draw(job.preset, job.config, draws, np.arange(runs, dtype=np.int32))
     wanted = {"false_alarms": false_alarms, "confidence": confidence, "follow": follow}

@@ -68,6 +68,7 @@ def spread(workers: Workers, *, cached: bool) -> Runner:
     """Run chunks on workers that see the campaign's folder under the same name."""
 
     def run(job: Job, chunks: Iterable[store.Chunk], tell: Callable[[int], object]) -> None:
+        """Keep AHEAD tasks a core running until no chunk is left; a file counts as soon as its worker is through."""
         task, folders, running = None, set[Path](), dict[Future[str], store.Chunk]()
         for chunk in chunks:
             folders.add(chunk.path.parent)

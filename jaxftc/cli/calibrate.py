@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 from jaxftc.cli import common, results
+from jaxftc.cli import identify as logs_options
 from jaxftc.cli.campaign import Laws
 
 if TYPE_CHECKING:
@@ -25,31 +26,29 @@ class Calibrate(Laws):
     The runs are simulated, on motions and arms of the preset, or cut from recorded logs of the healthy arm.
     """
 
-    scheme: str = "cascade"
-    """What diagnoses and controls, as in jaxftc campaign."""
+    scheme: common.Scheme = "cascade"
     false_alarms: float = 0.01
     """Share of healthy runs that may raise an alarm."""
     confidence: float = 0.95
-    """Confidence that the share is not larger."""
-    lead: float | None = None
-    """Weight of the innovation in the torque statistic of the cascade, 1/s^2, set before the thresholds; 10000 finds
-    actuator faults some milliseconds sooner at the same false alarms. That of the gains if not given."""
+    """Probability with which the share is not larger."""
+    lead: common.MaybeNumber = None
+    """Gain diagnosis.lead of the cascade, 1/s^2, set first; 10000 detects actuator faults milliseconds sooner."""
     follow: bool = False
-    """Let the torque thresholds follow the motion: by speed, acceleration, where a joint turns round, and by the
-    torques that its links and a payload need. What they follow is fitted on the healthy runs or logs."""
+    """Torque thresholds that follow the motion: speed, acceleration, reversals, torques of links and payload."""
     runs: int = 8192
     """Healthy runs to simulate, half to set the thresholds on and half to check them on."""
-    logs: tuple[Path, ...] = ()
-    """Logs of the healthy arm to use instead, of any form that jaxftc diagnose reads; the gains are then for it. A run is
-    --duration s of them, a whole log on average if not given."""
-    columns: tuple[str, ...] = ()
-    """Columns of the logs by our name, where they are not found: t=stamp q1=pos_a tau1=-torque_a."""
-    torque_per_ampere: tuple[float, ...] = ()
-    """N m for one ampere where currents were recorded: one number, or one a joint."""
-    degrees: bool | None = None
-    """Angles of the logs are in degrees; found out if not given."""
+    logs: Annotated[tuple[Path, ...], common.left_out("PATH ...")] = ()
+    """Use logs of the healthy arm, for jaxftc diagnose, in place of simulations; --duration s of them are a run."""
+    dt: common.MaybeNumber = None
+    """Sample time of the controller, s; the logs' own, or 0.001 without logs, if not given."""
+    columns: logs_options.Columns = ()
+    """Columns of the logs, where they are not found: t=stamp q1=pos_a tau1=-torque_a; a minus changes the sign."""
+    torque_per_ampere: logs_options.Numbers = ()
+    """N m per ampere, where currents were recorded: one number, or one for each joint."""
+    degrees: logs_options.Degrees = None
+    """Whether angles of the logs are in degrees; recognised if not given."""
     check: bool = True
-    """Hold the columns of the logs against the model."""
+    """Check the columns of the logs against the model."""
 
     def run(self) -> None:
         """Set, check, write."""

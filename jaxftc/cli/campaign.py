@@ -24,14 +24,14 @@ class Laws(common.Options):
     """Options of the commands that draw scenarios from a preset."""
 
     preset: str = "standard"
-    """Laws of the scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    """Distributions of the scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
     engine: Literal["mjx", "chain"] = "chain"
-    """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
+    """Simulated arm: recursions unrolled from its model, or MuJoCo MJX (same motion, several times slower)."""
     coulomb: bool = True
     """Give the PUMA 560 its Coulomb friction, in plant and model."""
     seed: int = 0
     """Seed of the scenarios and their noise."""
-    duration: float | None = None
+    duration: common.MaybeNumber = None
     """Length of a run, s; the motion's, 1 s, if not given."""
 
     def base(self) -> Config:
@@ -65,27 +65,22 @@ class Laws(common.Options):
 class Campaign(Laws):
     """Monte-Carlo fault campaign: rows in Parquet, summary.json and report.html.
 
-    After a stop the same command with the same --out goes on; with a larger -n it goes on to more scenarios.
+    To resume, give the same command with the same --out; a larger -n adds scenarios.
     """
 
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 1000
     """Number of scenarios."""
-    scheme: str = "cascade"
-    """What diagnoses and controls: cascade (T-S observer, AFESMC); adaptive, which learns
-    payload and friction too; the cascade with another observer or controller, pi, eso,
-    eso_printed, smc or esmc; a baseline, momentum, ekf or computed_torque; or your own, module:object."""
-    compare: str | None = None
-    """Several schemes on the same scenarios instead, by their names with commas: cascade,momentum,ekf."""
-    false_alarms: float | None = None
-    """Set the thresholds first, for this share of healthy runs with an alarm; 0.01 with --compare, otherwise those of the
-    gains stay."""
+    scheme: common.Scheme = "cascade"
+    compare: Annotated[str | None, common.left_out("SCHEME,SCHEME,...")] = None
+    """Several schemes on the same scenarios: cascade,momentum,ekf."""
+    false_alarms: common.MaybeNumber = None
+    """First calibrate the thresholds for this share of healthy runs with an alarm; 0.01 with --compare."""
     follow: bool = False
-    """Let the torque thresholds follow the motion, as jaxftc calibrate --follow does; needs --false-alarms or --compare."""
+    """Torque thresholds that follow the motion, as in jaxftc calibrate; needs --false-alarms or --compare."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
-    cluster: str | None = None
-    """Run on the CPU cores of a Ray cluster: local, for one on this machine, or HOST:PORT of its head node. All machines
-    share the folder of --out."""
+    cluster: Annotated[str | None, common.left_out("local|HOST:PORT")] = None
+    """Run on a Ray cluster: one on this machine, or that of the head node; all machines share --out."""
 
     def run(self) -> None:
         """Run what is missing, then read all rows; write summary and report."""
@@ -118,7 +113,7 @@ class Campaign(Laws):
             allowed(HEALTHY // 2, share, 0.95)
         with results.folder(self, "campaign", goes_on=True) as folder:
             if self.out is None:
-                common.say(self, f"If it is stopped, go on with --out {shlex.quote(str(folder))}")
+                common.say(self, f"To resume after a stop: the same command with --out {shlex.quote(str(folder))}")
             folders = {name: folder / name.replace(":", ".") if self.compare else folder for name in names}
             requests = {name: self._request(job, name, share) for name, job in jobs.items()}
             if self.force:
@@ -195,6 +190,8 @@ class Campaign(Laws):
         from jaxftc.schemes.registry import scheme
 
         name, note = job.scheme, lambda text: common.say(self, text)
+        if share and not (folder / store.MANIFEST).exists():
+            note(f"{name}: calibrating the thresholds for {100 * share:g} % of healthy runs with an alarm")
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
             job, manifest = begin(folder, job, request, share, bar.update, follow=self.follow, note=note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:

@@ -20,6 +20,19 @@ if TYPE_CHECKING:
     from jaxftc.robot.arm_table import Arm
     from jaxftc.robot.model import Robot
 
+
+def left_out(value: str) -> Any:
+    """Of an option that is left out by default: the help names its ``value``, and no ``None`` as the default."""
+    return tyro.conf.arg(metavar=value, help_behavior_hint="")
+
+
+MaybePath = Annotated[Path | None, left_out("PATH")]
+MaybeNumber = Annotated[float | None, left_out("NUMBER")]
+MaybeInteger = Annotated[int | None, left_out("INTEGER")]
+MaybeName = Annotated[str | None, left_out("NAME")]
+Names = Annotated[tuple[str, ...], left_out("NAME ...")]
+Poses = Annotated[tuple[str, ...], left_out("JOINT=POSITION ...")]
+Scheme = Annotated[str, tyro.conf.arg(help=f"{', '.join(variants())}, or your own, module:object (docs/campaigns.md).")]
 MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young objects by the million, none of them garbage
 
 
@@ -27,14 +40,14 @@ MANY_OBJECTS = (100_000, 20, 20)  # gc.set_threshold: tracing makes young object
 class Output:
     """Options of every command that writes results."""
 
-    out: Path | None = None
-    """Folder for the results; runs/<command>-<n> if not given."""
+    out: MaybePath = None
+    """Folder for the results; a new one, runs/<command>-<n>, if not given."""
     json: bool = False
     """Print one JSON object on stdout and nothing else there."""
     force: bool = False
-    """Begin anew in a folder that holds another result, or files of others; those of the same names are replaced."""
+    """Start over in a folder that holds another result or other files; files of the same names are replaced."""
     cache: Annotated[bool, tyro.conf.arg(name="compilation-cache")] = True
-    """Keep compiled programs between runs, in the user's cache folder."""
+    """Keep compiled programs in ~/.cache/jaxftc for later runs."""
     words: tyro.conf.Suppress[tuple[str, ...]] = ()
     """The command line, as it was given."""
 
@@ -45,10 +58,10 @@ class ArmOptions(Output):
 
     robot: str = "puma560"
     """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""
-    tip: str | None = None
-    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
-    lock: tuple[str, ...] = ()
-    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
+    tip: MaybeName = None
+    """Link, site or joint at which the arm ends, where the file holds more than one arm."""
+    lock: Poses = ()
+    """Joints to weld, each with its position in rad or m, such as gripper=0.5."""
 
 
 @dataclasses.dataclass
@@ -56,13 +69,13 @@ class Options(ArmOptions):
     """Options of every command that simulates."""
 
     engine: Literal["mjx", "chain"] = "mjx"
-    """Plant dynamics: MuJoCo MJX, or the unrolled chain (several times faster, same motion)."""
+    """Simulated arm: MuJoCo MJX, or recursions unrolled from its model (several times faster, same motion)."""
     coulomb: bool = False
     """Give the PUMA 560 its Coulomb friction, in plant and model; the paper's conditions have none."""
-    gains: Path | None = None
+    gains: MaybePath = None
     """Gains file (TOML); the default gains if not given."""
-    dt: float | None = None
-    """Sample time of the controller, s; 0.001 if not given. A log's own is found from the log."""
+    dt: MaybeNumber = None
+    """Sample time of the controller, s; 0.001 if not given."""
     seed: int = 0
     """Seed of the encoder noise."""
 
@@ -170,7 +183,9 @@ def whole_arm(robot: str, tip: str | None, lock: tuple[str, ...]) -> Arm:
     from jaxftc.robot.arm_table import Arm
 
     if robot == "puma560":
-        return Arm(built_in(tip, lock, coulomb=True))
+        found = built_in(tip, lock, coulomb=True)
+        print(f"arm: {found.name}, built in, {found.n} joints; for another give --robot FILE", file=sys.stderr)
+        return Arm(found)
     return Arm(read_arm(robot, tip, lock), arm_file.read_arm(robot).recording)
 
 

@@ -12,6 +12,7 @@ import tyro
 
 from jaxftc.cli import common, results
 from jaxftc.cli.identify import LogOptions, column_names
+from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
     from jaxftc.config import Config
@@ -29,13 +30,13 @@ SIGNALS = ("verdict", "statistic_tau", "statistic_q", "fault_tau_hat", "fault_q_
 class Diagnose(LogOptions, common.ArmOptions):
     """Diagnose a recording under any controller; writes result.json, events.csv, samples.parquet and report.html.
 
-    Set the thresholds on healthy logs first: jaxftc calibrate --logs. A log without torques is judged by its readings alone.
+    Calibrate the thresholds on healthy logs first: jaxftc calibrate --logs. Without torques, only encoder faults are found.
     """
 
-    log: Annotated[Path | None, tyro.conf.Positional] = None
+    log: Annotated[Path | None, tyro.conf.Positional, common.left_out("LOG")] = None
     """Log: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
-    gains: Path | None = None
-    """Gains of jaxftc calibrate --logs; default thresholds, of an exact model, if not given."""
+    gains: common.MaybePath = None
+    """Gains that jaxftc calibrate --logs wrote; default thresholds, which suit an exact model only, if not given."""
 
     def run(self) -> None:
         """Read piece by piece, judge, write."""
@@ -199,10 +200,13 @@ def events_csv(events: list[Any]) -> str:
 
 def as_text(record: dict[str, Any]) -> str:
     """The timeline as text."""
-    lines = [f"{'start, s':>10}{'end, s':>10}  {'joint':22}{'kind':10}{'size':>12}"] if record["events"] else ["no event"]
-    for e in record["events"]:
-        size = f"{e['size']:.3g} {e['unit']}"
-        lines.append(f"{e['start_s']:10.2f}{e['end_s']:10.2f}  {e['joint_name']:22}{e['kind']:10}{size:>12}")
+    rows = [
+        (e["joint_name"], e["kind"], f"{e['start_s']:.2f}", f"{e['end_s']:.2f}", f"{e['size']:.3g} {e['unit']}")
+        for e in record["events"]
+    ]
+    lines = (
+        aligned(("joint", "kind", "start", "end", "size"), ("", "", "s", "s", ""), rows, text=2) if rows else ["no event"]
+    )
     lines.append(
         f"{record['duration_s']:.4g} s at {1e3 * record['sample_time_s']:.4g} ms; alarm in "
         f"{100 * record['alarm_share']:.3g} % of the ticks, {record['glitches']} glitches"

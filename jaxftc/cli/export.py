@@ -23,15 +23,13 @@ class Export(common.Options):
     Writes ftc_step.h, ftc_step.c, example.c, ftc_init.stablehlo, ftc_step.stablehlo, gains.toml and ftc.json.
     """
 
-    scheme: str = "cascade"
-    """What diagnoses and controls, as in jaxftc campaign."""
+    scheme: common.Scheme = "cascade"
     real: Literal["double", "float"] = "double"
     """Precision of the code."""
     gains_at_run_time: bool = False
-    """Make the gains an argument, a struct, in place of constants."""
+    """Make the gains an argument (a struct), not constants."""
     check: bool = False
-    """Hold the files against jaxftc.step, tick by tick, under every kind of fault; exit with 1 if they differ. The C code is
-    checked where there is a C compiler."""
+    """Compare the files with jaxftc.step under every kind of fault; exit code 1 if they differ. C needs a compiler."""
     ticks: int = 10_000
     """Ticks of each kind of fault in the check."""
     coulomb: bool = True

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jaxftc.cli import common, results
+from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
     from jaxftc.identify.physical import Identified, Share
@@ -16,20 +17,25 @@ if TYPE_CHECKING:
     from jaxftc.robot.arm_table import Arm
 
 
+Columns = Annotated[tuple[str, ...], common.left_out("NAME=COLUMN ...")]
+Numbers = Annotated[tuple[float, ...], common.left_out("NUMBER ...")]
+Degrees = Annotated[bool | None, common.left_out("{True,False}")]
+
+
 @dataclasses.dataclass
 class LogOptions:
     """How logs are read."""
 
-    columns: tuple[str, ...] = ()
-    """Columns by our name, where they are not found: t=stamp q1=pos_a tau1=-torque_a; a minus turns the sign round."""
-    dt: float | None = None
-    """Sample time in s; the log's own if not given. A log without time must have it."""
-    torque_per_ampere: tuple[float, ...] = ()
-    """N m for one ampere where currents were recorded: one number, or one a joint."""
-    degrees: bool | None = None
-    """Angles are in degrees; found out if not given."""
+    columns: Columns = ()
+    """Columns, where they are not found: t=stamp q1=pos_a tau1=-torque_a; a minus changes the sign."""
+    dt: common.MaybeNumber = None
+    """Sample time, s; the log's own if not given. Needed for a log without a time column."""
+    torque_per_ampere: Numbers = ()
+    """N m per ampere, where currents were recorded: one number, or one for each joint."""
+    degrees: Degrees = None
+    """Whether angles are in degrees; recognised if not given."""
     check: bool = True
-    """Hold the columns against the model."""
+    """Check the columns against the model."""
 
 
 def column_names(pairs: tuple[str, ...]) -> dict[str, str] | None:
@@ -66,15 +72,15 @@ def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
 
 @dataclasses.dataclass
 class Identify(LogOptions, common.ArmOptions):
-    """Fit the physical model of an arm to logs of it: links, motor inertia, friction, torque offset, and gain for currents.
+    """Fit the physical model of an arm to its logs: links, motor inertia, friction, torque offset, gain of currents.
 
-    Writes arm.toml, which --robot takes, result.json and report.html. Healthy logs, with every joint in motion.
+    The logs must be of the healthy arm, with every joint in motion. Writes arm.toml, which --robot takes, and report.html.
     """
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional, common.left_out("LOG ...")] = ()
     """Logs: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
     judge: bool = False
-    """Fit nothing: only say how well the model explains the logs."""
+    """Fit nothing; say how well the model explains the logs."""
 
     def run(self) -> None:
         """Read, fit or judge, write."""
@@ -175,13 +181,11 @@ def shown_lines(left: list[tuple[str, int]], names: tuple[str, ...]) -> str:
 
 
 def share_lines(held: Share, names: tuple[str, ...], *, judged: bool) -> str:
-    """Torque and what is left of it, by joint."""
-    heads = ["torque, N m", "left, N m"] if judged else ["torque, N m", "left by the file", "left now"]
-    width = max(map(len, (*names, "joint")))
-    lines = [f"{'joint':{width}}" + "".join(f"{head:>18}" for head in heads)]
-    for j, name in enumerate(names):
-        values = (held.torque, held.after) if judged else (held.torque, held.before, held.after)
-        lines.append(f"{name:{width}}" + "".join(f"{value[j]:18.3g}" for value in values))
-    was = "" if judged else f", {100 * held.share_before:.1f} % before"
-    where = "of the torque" if judged else "of the torque, on parts of the logs that were not fitted"
-    return "\n".join([*lines, f"left over: {100 * held.share_after:.1f} % {where}{was}"])
+    """Torque and what the model leaves of it, by joint."""
+    heads = ("torque", "residual") if judged else ("torque", "residual, file", "residual, fitted")
+    values = (held.torque, held.after) if judged else (held.torque, held.before, held.after)
+    rows = [(name, *(f"{value[j]:.3g}" for value in values)) for j, name in enumerate(names)]
+    lines = aligned(("joint", *heads), ("", *("rms N m",) * len(heads)), rows)
+    was = "" if judged else f", {100 * held.share_before:.1f} % with the file's model"
+    where = "of the torque" if judged else "of the torque, on held-out parts of the logs"
+    return "\n".join([*lines, f"residual: {100 * held.share_after:.1f} % {where}{was}"])

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jaxftc.cli import common
 from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
@@ -17,14 +18,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass
 class Inspect:
-    """One page of what was read from a robot file, of what was welded and of what looks like a placeholder."""
+    """Print what was read from a robot file: joints, limits, masses, what was welded, what looks like a placeholder."""
 
     robot: Annotated[str, tyro.conf.Positional] = "puma560"
     """Built-in arm, an MJCF or URDF file, or an arm's own file (arm.toml, or the folder that it is in)."""
-    tip: str | None = None
-    """Link, site or joint at which the arm ends, to pick it out of a larger robot file."""
-    lock: tuple[str, ...] = ()
-    """Joints to weld, and where in rad or m, such as gripper=0.5; the others beyond the arm are welded where they stand."""
+    tip: common.MaybeName = None
+    """Link, site or joint at which the arm ends, where the file holds more than one arm."""
+    lock: common.Poses = ()
+    """Joints to weld, each with its position in rad or m, such as gripper=0.5."""
     json: bool = False
     """Print one JSON object on stdout and nothing else there."""
 
@@ -34,7 +35,6 @@ class Inspect:
         print(json.dumps(result, indent=2, allow_nan=False) if self.json else page(result))
 
     def _arm(self) -> Arm:
-        from jaxftc.cli import common
         from jaxftc.robot.arm_file import read_arm, read_robot
         from jaxftc.robot.arm_table import Arm
 

@@ -21,16 +21,19 @@ if TYPE_CHECKING:
 GROUP = "jaxftc.commands"
 COMMANDS = {
     "demo": "jaxftc.cli.demo:Demo",
-    "inspect": "jaxftc.cli.inspect:Inspect",
     "simulate": "jaxftc.cli.simulate:Simulate",
+    "view": "jaxftc.cli.view:View",
     "campaign": "jaxftc.cli.campaign:Campaign",
-    "identify": "jaxftc.cli.identify:Identify",
     "calibrate": "jaxftc.cli.calibrate:Calibrate",
+    "inspect": "jaxftc.cli.inspect:Inspect",
+    "identify": "jaxftc.cli.identify:Identify",
     "diagnose": "jaxftc.cli.diagnose:Diagnose",
     "export": "jaxftc.cli.export:Export",
-    "view": "jaxftc.cli.view:View",
 }
-DESCRIPTION = "Fault diagnosis and fault-tolerant control for robot arms."
+DESCRIPTION = """Fault diagnosis and fault-tolerant control for robot arms.
+
+Start with jaxftc demo. For the options of a command: jaxftc simulate --help. For the version: jaxftc --version.
+"""
 
 
 def commands() -> dict[str, Any]:
@@ -78,6 +81,13 @@ def _absent(entry: EntryPoint, error: ModuleNotFoundError) -> Any:
     return dataclasses.make_dataclass(entry.name.capitalize(), [words], namespace=space)
 
 
+def _summary(command: Any) -> Any:
+    """A command without options whose help is the first line of the real one's, for the list of commands."""
+    import dataclasses
+
+    return dataclasses.make_dataclass(command.__name__, [], namespace={"__doc__": command.__doc__.partition("\n")[0]})
+
+
 def parse(arguments: list[str] | None = None) -> Any:
     """The command's dataclass, filled in; leaves with exit code 2 on unknown options.
 
@@ -92,7 +102,8 @@ def parse(arguments: list[str] | None = None) -> Any:
             raise ValueError(f"arguments and names of files must be UTF-8, got {os.fsencode(word)!r}; rename it")
     entry = _entries().get(words[0]) if words else None
     if entry is None:  # help, or a command that is not there
-        command = tyro.extras.subcommand_cli_from_dict(commands(), prog="jaxftc", description=DESCRIPTION, args=words)
+        known = {name: _summary(command) for name, command in commands().items()}
+        command = tyro.extras.subcommand_cli_from_dict(known, prog="jaxftc", description=DESCRIPTION, args=words)
     else:  # the parsers of all others would take as long again
         command = tyro.cli(_load(entry), prog=f"jaxftc {entry.name}", args=words[1:])
     from jaxftc.cli import common, results

@@ -13,6 +13,7 @@ import tyro
 
 from jaxftc.cli import common, results
 from jaxftc.io.files import write_text
+from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
     import numpy as np
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from jaxftc.campaigns.spec import Job
     from jaxftc.config import Config
     from jaxftc.evaluation.metrics import Metrics
+
+
+PLACES = {"fault_tau_rms_nm": 3, "fault_q_rms_deg": 4, "tracking_rms_deg": 4, "peak_torque_nm": 1}
 
 
 class Run(NamedTuple):
@@ -33,33 +37,33 @@ class Run(NamedTuple):
 
 @dataclasses.dataclass
 class Simulate(common.Options):
-    """One scenario: table by joint, trace.parquet and figures.html.
+    """Simulate one scenario: table by joint, trace.parquet and figures.html.
 
-    One of the paper's conditions, or with --from and --id a scenario of a campaign, with the campaign's robot, gains and
-    timing; its row is then the campaign's bit for bit.
+    The scenario is one of the paper's conditions, or one of a campaign (--from and --id), which is replayed bit for bit with
+    the campaign's robot, gains and timing.
     """
 
     scenario: Literal["healthy", "actuator", "sensor", "both"] = "actuator"
-    """Condition of the paper."""
+    """Condition of the paper: faults on all joints from 0.1 to 0.25 s."""
     observer: Literal["pi", "eso", "ts"] = "ts"
-    """PI, with super-twisting, with Takagi-Sugeno."""
+    """PI, PI with super-twisting, or both with the Takagi-Sugeno stage."""
     control: Literal["smc", "esmc", "afesmc"] = "afesmc"
-    """Sliding mode, with estimation, with the fuzzy gain."""
+    """Sliding mode, with fault estimates, or with these and the fuzzy gain."""
     adaptive: bool = False
     """Learn payload and friction while the arm runs."""
     sign: Literal["smooth", "hard"] = "smooth"
-    """tanh(x / eps), or the printed sgn."""
+    """Sign function: tanh(x / eps), or the printed sgn."""
     torque: float = 5.0
     """Size of the actuator fault, N m."""
     angle: float = 1.5
     """Size of the encoder fault, deg."""
-    campaign: Annotated[Path | None, tyro.conf.arg(name="from")] = None
-    """Folder of a campaign (of one scheme)."""
-    id: int | None = None
-    """Scenario of that campaign."""
+    campaign: Annotated[Path | None, tyro.conf.arg(name="from", metavar="PATH", help_behavior_hint="")] = None
+    """Folder of a campaign to replay a scenario of; needs --id. Of --compare, the folder of one scheme."""
+    id: common.MaybeInteger = None
+    """scenario_id in that campaign."""
     t_final: float = 1.0
     """End of the motion, s."""
-    duration: float | None = None
+    duration: common.MaybeNumber = None
     """Length of the simulation, s; the motion's if not given."""
 
     def run(self) -> None:
@@ -204,14 +208,13 @@ def table(title: str, result: dict[str, Any]) -> str:
     """The run as text."""
     from jaxftc.evaluation.metrics import SETTLE
 
-    lines = [title, ""]
-    head = f"{'joint':8}{'torque est.':>13}{'angle est.':>13}{'tracking':>12}{'peak torque':>13}  {'truth':9}{'verdict':9}"
-    lines += [head, f"{'':8}{'rms N m':>13}{'rms deg':>13}{'rms deg':>12}{'N m':>13}", "-" * len(head)]
-    for joint in result["joints"]:
-        lines.append(
-            f"{joint['joint']:8}{joint['fault_tau_rms_nm']:13.3f}{joint['fault_q_rms_deg']:13.4f}"
-            f"{joint['tracking_rms_deg']:12.4f}{joint['peak_torque_nm']:13.1f}  {joint['truth']:9}{joint['verdict']:9}"
-        )
+    head = ("joint", "truth", "verdict", "torque est.", "angle est.", "tracking", "peak torque")
+    units = ("", "", "", "rms N m", "rms deg", "rms deg", "N m")
+    rows = [
+        (*(joint[name] for name in head[:3]), *(f"{joint[name]:.{places}f}" for name, places in PLACES.items()))
+        for joint in result["joints"]
+    ]
+    lines = [title, "", *aligned(head, units, rows, text=3)]
     if all(joint["truth"] == "normal" for joint in result["joints"]):
         lines.append("\nno fault in this run")
     else:
@@ -231,6 +234,11 @@ def table(title: str, result: dict[str, Any]) -> str:
 def row_as_text(result: dict[str, Any]) -> str:
     """The campaign's row of a scenario, without the delays at other thresholds."""
     row = {name: value for name, value in result["row"].items() if not name.startswith("delay_at_")}
-    words = {None: "not there: the campaign has not come to it", True: "the same to the last bit", False: "DIFFERENT"}
-    lines = ["", "row:", *(f"  {name:22} {'-' if value is None else value}" for name, value in row.items() if value != "")]
+    words = {None: "none, the campaign has not run this scenario", True: "the same to the last bit", False: "DIFFERENT"}
+    lines = ["", "row:", *(f"  {name:22} {_shown(value)}" for name, value in row.items() if value != "")]
     return "\n".join([*lines, f"stored row: {words[result['same_as_stored']]}"])
+
+
+def _shown(value: Any) -> str:
+    """A value of a row for people: six digits, which result.json has all."""
+    return "-" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -9,38 +9,39 @@ from typing import Annotated, Any
 
 import tyro
 
+from jaxftc.cli import common
+
 
 @dataclasses.dataclass
 class View:
     """Replay a run in MuJoCo's viewer, or write it as mp4, gif or png without a screen (--video).
 
-    A joint is vermillion while a fault is on it that is not found yet, blue once there is a verdict, orange where there is a
-    verdict but no fault. The ghost is the reference; it shows where the arm is off it. In the window the space key stops
-    the time and lets it go on.
+    Colours of a joint: vermilion, fault not yet detected; blue, fault detected; orange, alarm without a fault. The
+    translucent arm is the reference. In the window, the space key pauses and resumes.
     """
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder that simulate wrote, or its trace.parquet."""
-    video: Path | None = None
-    """File to write, .mp4, .gif or .png, in place of opening a window."""
+    video: common.MaybePath = None
+    """Write this file, .mp4, .gif or .png, and open no window."""
     robot: str = "puma560"
-    """The arm that the run was made with: built in, an MJCF or URDF file, or an arm's own file or its folder."""
-    tip: str | None = None
-    """Link, site or joint at which the arm ends, as the run had it."""
-    lock: tuple[str, ...] = ()
-    """Joints that are welded, and where in rad or m, as the run had it."""
+    """The run's arm: the built-in one, an MJCF or URDF file, or an arm's own file or its folder."""
+    tip: common.MaybeName = None
+    """The run's --tip."""
+    lock: common.Poses = ()
+    """The run's --lock."""
     speed: float = 0.25
-    """Seconds of the run in a second of the film or the window."""
+    """Speed of the replay; 1 is real time."""
     ghost: bool = True
     """Show the reference as a translucent arm."""
     fps: float = 30.0
-    """Frames a second of an mp4 or gif."""
-    at: float | None = None
-    """Time of a png in s; 60 ms after the first alarm, or the middle, if not given."""
+    """Frames per second of an mp4 or gif."""
+    at: common.MaybeNumber = None
+    """Time of a png, s; 60 ms after the first alarm if not given, or the middle of a run without one."""
     width: int = 640
-    """Of the film or picture, pixels."""
+    """Width of the film or picture, pixels."""
     height: int = 480
-    """Of the film or picture, pixels."""
+    """Height of the film or picture, pixels."""
     json: bool = False
     """With --video, print one JSON object on stdout and nothing else there."""
 

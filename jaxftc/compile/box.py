@@ -34,6 +34,8 @@ def box(name: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A function that is a box of the block diagram, or a part of one."""
 
     def named(fun: Callable[P, T]) -> Callable[P, T]:
+        """``fun``, which leaves marks of its box where it is traced while ``marked`` is on."""
+
         @functools.wraps(fun)
         def call(*args: P.args, **kwargs: P.kwargs) -> T:
             if not _marked.get():

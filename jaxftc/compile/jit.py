@@ -122,7 +122,7 @@ def _program(fun: Callable[..., Any], examples: Sequence[Any], *, kind: Kind, **
 @contextlib.contextmanager
 def _said(name: str) -> Iterator[None]:
     """Say what is being compiled if that takes long."""
-    message = f"still compiling {name.strip('_')} after {PATIENCE:.0f} s; this happens once for these sizes and settings"
+    message = f"compiling {name.strip('_')!r} for more than {PATIENCE:.0f} s; once for each arm, size and setting"
     timer = threading.Timer(PATIENCE, _log.warning, [message])
     timer.daemon = True
     timer.start()

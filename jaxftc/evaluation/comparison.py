@@ -129,7 +129,7 @@ def calibrated(result: dict[str, Any]) -> str:
     found = result.get("calibration")
     if not found:
         alarms = result["false_alarm_runs"] or 0.0
-        unfit = f" They do not suit these arms: {100 * alarms:.0f} % of the healthy runs raise an alarm; see --false-alarms."
+        unfit = f" {100 * alarms:.0f} % of the healthy runs raise an alarm: calibrate with --false-alarms 0.01."
         return "Thresholds as given." + (unfit if alarms > UNFIT else "")
     low, high = found["false_alarm_runs_95"]
     return (
@@ -195,7 +195,8 @@ def kinds_as_text(result: dict[str, Any]) -> str:
         shares = [
             _text(_scaled(part[k], 100), 1, None, missed=False) for k in ("detection", "isolation_kind", "isolation_joint")
         ]
-        times = [_text(_scaled(part[k], 1e3), 0, None, missed=True) for k in ("delay_median_s", "isolated_median_s")]
+        late = (("delay_median_s", "missed"), ("isolated_median_s", "never"))
+        times = [verdicts.show(part[k], 1e3, 0, absent) for k, absent in late]
         lines.append(
             f"{name:24}{part['n_faults']:7d}{shares[0]:>10}{shares[1]:>12}{shares[2]:>12}{times[0]:>9}{times[1]:>10}"
         )

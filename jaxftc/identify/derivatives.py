@@ -36,7 +36,7 @@ def band(log: Log) -> np.ndarray:
     dt = log.dt or 1e-3
     start, stop = max(log.stretches, key=lambda s: s[1] - s[0])
     q = np.asarray(log.q, float)[start:stop]
-    size = min(len(q), 1 << int(np.log2(max(4.0 / dt, 64))))  # 4 s resolve a quarter of a hertz
+    size = min(len(q) - 1, 1 << int(np.log2(max(4.0 / dt, 64))))  # 4 s resolve a quarter of a hertz
     frequency, power = signal.welch(np.diff(q, axis=0), 1 / dt, nperseg=size, axis=0)
     power = power[1:] / (2 * np.sin(np.pi * frequency[1:] * dt))[:, None] ** 2  # of the angle, from that of its differences
     frequency = frequency[1:]

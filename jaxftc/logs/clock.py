@@ -44,51 +44,69 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
         ValueError: nothing is left, or so many stamps go back that the order cannot be known.
     """
     notes: list[str] = []
-    usable = np.flatnonzero(whole & np.isfinite(t))
-    if len(usable) < 2:
-        raise ValueError(f"{len(usable)} of {len(t)} rows have a time and all values; record the motion again")
-    if len(usable) < len(t):
-        first = int(np.flatnonzero(~(whole & np.isfinite(t)))[0]) + 1
-        notes.append(f"{len(t) - len(usable)} rows with a missing value left out, the first is row {first}")
-        if len(usable) < 0.5 * len(t):
-            raise ValueError(
-                f"{len(t) - len(usable)} of {len(t)} rows miss a value, the first is row {first}; record it again"
-            )
-    t = t[usable]
+    rows = _whole(whole & np.isfinite(t), notes)
+    t = t[rows]
     if (np.diff(t) <= 0).all() and np.ptp(t) > 0:
-        usable, t = usable[::-1], t[::-1] - t[-1]
+        rows, t = rows[::-1], t[::-1] - t[-1]
         notes.append("the rows run backwards in time; turned round")
     dt = own_rate(t)
-    restarts = [k for k in np.flatnonzero(np.diff(t) < -10 * dt) + 1 if (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
-    restarts = [k for k in restarts if len(t) - k >= RESTART_ROWS]
+    t = _one_clock(rows, t, dt, notes)
+    rows, t = _increasing(rows, t, notes)
+    use, starts = _segments(t, dt, notes)
+    return Rows(rows[use], t[use], starts, dt, notes)
+
+
+def _whole(usable: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Numbers of the usable [T] rows."""
+    rows, missing = np.flatnonzero(usable), np.flatnonzero(~usable) + 1
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} of {len(usable)} rows have a time and all values; record the motion again")
+    if len(missing) > 0.5 * len(usable):
+        raise ValueError(
+            f"{len(missing)} of {len(usable)} rows miss a value, the first is row {missing[0]}; record it again"
+        )
+    if len(missing):
+        notes.append(f"{len(missing)} rows with a missing value left out, the first is row {missing[0]}")
+    return rows
+
+
+def _one_clock(rows: np.ndarray, t: np.ndarray, dt: float, notes: list[str]) -> np.ndarray:
+    """Stamps [rows] s of one clock: a recording that starts anew is put behind the one before, a gap apart."""
     t = t.copy()
+    back = np.flatnonzero(np.diff(t) < -10 * dt) + 1
+    restarts = [k for k in back if len(t) - k >= RESTART_ROWS and (t[k : k + RESTART_ROWS] < t[k - 1]).all()]
     for k in restarts:
         t[k:] += t[k - 1] - t[k] + max(1.0, 10 * GAP * dt)
     if restarts:
-        notes.append(f"the clock starts anew at row {usable[restarts[0]] + 1}; taken as {len(restarts) + 1} recordings")
+        notes.append(f"the clock starts anew at row {rows[restarts[0]] + 1}; taken as {len(restarts) + 1} recordings")
+    return t
+
+
+def _increasing(rows: np.ndarray, t: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and their stamps, less those whose stamp is not above all before."""
     latest = np.maximum.accumulate(t)
     forward = np.r_[True, t[1:] > latest[:-1]]
     equal = np.r_[False, t[1:] == latest[:-1]]
     back = ~forward & ~equal
+
+    def first(which: np.ndarray) -> int:
+        return int(rows[np.flatnonzero(which)[0]]) + 1
+
     if back.sum() > 0.1 * len(t):
-        row = int(usable[np.flatnonzero(back)[0]]) + 1
         raise ValueError(
-            f"the time goes back in {back.sum()} of {len(t)} rows, the first is row {row}; sort the rows by time"
+            f"the time goes back in {back.sum()} of {len(t)} rows, the first is row {first(back)}; sort the rows by time"
         )
     for which, word in ((equal, "the same time as the one before"), (back, "a time before that of an earlier one")):
         if which.any():
-            notes.append(f"{which.sum()} rows with {word} left out, the first is row {usable[np.flatnonzero(which)[0]] + 1}")
-    kept, t = usable[forward], t[forward]
-    steps = np.diff(t)
+            notes.append(f"{which.sum()} rows with {word} left out, the first is row {first(which)}")
+    return rows[forward], t[forward]
+
+
+def _segments(t: np.ndarray, dt: float, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Places of the rows in segments of LEAST_ROWS and more, cut at gaps of the stamps t, and where in these one starts."""
     limit = max(GAP * dt, GAP_SECONDS)
-    cuts = np.flatnonzero(steps > limit) + 1
-    bridged = (steps > 1.9 * dt) & (steps <= limit)
-    spread = np.percentile(steps, [1, 99])
-    if spread[1] - spread[0] > 0.2 * dt:
-        notes.append(f"steps vary from {1e3 * spread[0]:.3g} to {1e3 * spread[1]:.3g} ms; resampled to {1e3 * dt:.4g} ms")
-    if bridged.any():
-        longest = 1e3 * steps[bridged].max()
-        notes.append(f"{bridged.sum()} gaps of up to {longest:.3g} ms bridged by straight lines")
+    _note_steps(np.diff(t), dt, limit, notes)
+    cuts = np.flatnonzero(np.diff(t) > limit) + 1
     bounds = np.r_[0, cuts, len(t)]
     long_enough = np.diff(bounds) >= LEAST_ROWS
     if len(cuts):
@@ -96,11 +114,20 @@ def order(t: np.ndarray, whole: np.ndarray) -> Rows:
         notes.append(f"cut into {long_enough.sum()} segments at gaps of more than {1e3 * limit:.3g} ms, after t = {at} s")
     if not long_enough.any():
         raise ValueError(f"no stretch of {LEAST_ROWS} rows is without a gap of more than {limit:.3g} s; record it again")
-    use = np.concatenate([np.arange(a, b) for a, b, ok in zip(bounds, bounds[1:], long_enough, strict=False) if ok])
+    use = np.flatnonzero(np.repeat(long_enough, np.diff(bounds)))
     if len(use) < len(t):
         notes.append(f"{len(t) - len(use)} rows in stretches of fewer than {LEAST_ROWS} left out")
-    starts = np.flatnonzero(np.isin(use, bounds[:-1]))
-    return Rows(kept[use], t[use], starts, dt, notes)
+    return use, np.flatnonzero(np.isin(use, bounds[:-1]))
+
+
+def _note_steps(steps: np.ndarray, dt: float, limit: float, notes: list[str]) -> None:
+    """Say whether steps s vary, and which gaps up to ``limit`` s are bridged."""
+    low, high = np.percentile(steps, [1, 99])
+    if high - low > 0.2 * dt:
+        notes.append(f"steps vary from {1e3 * low:.3g} to {1e3 * high:.3g} ms; resampled to {1e3 * dt:.4g} ms")
+    bridged = steps[(steps > 1.9 * dt) & (steps <= limit)]
+    if len(bridged):
+        notes.append(f"{len(bridged)} gaps of up to {1e3 * bridged.max():.3g} ms bridged by straight lines")
 
 
 class Even(NamedTuple):

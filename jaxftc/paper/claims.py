@@ -141,7 +141,7 @@ def _estimation(rows: list[Row], channel: str, name: str, unit: str) -> Claim:
 def _tracking(pair: Comparison) -> Claim:
     before, after = pair.before.upper(), pair.after.upper()
     mean, low, high = (f"{100 * value:+.1f}" for value in pair.change)
-    note = f"; {before} chatters more than that even at its calmest, where it was taken" if pair.louder else ""
+    note = f"; {before} at its lowest chattering, which is higher" if pair.louder else ""
     return Claim(
         f"tracking_{pair.condition}_{pair.before}_{pair.after}",
         "15b",

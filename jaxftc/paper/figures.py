@@ -35,7 +35,7 @@ OBSERVER_NAMES = {"pi": "PI", "eso": "PI + sliding mode (ESO)", "ts": "PI + slid
 STAGES = {
     "pi": "With an integrator alone the encoder fault is taken for a torque; it has no encoder estimate.",
     "eso": "The sliding-mode term quickens the torque estimate; the encoder fault is still taken for a torque.",
-    "ts": "The fuzzy stage books the jump of the reading as encoder fault, which frees the torque estimate.",
+    "ts": "The fuzzy stage attributes the jump of the reading to the encoder, which frees the torque estimate of it.",
 }
 RESIDUALS = {  # condition -> number, title, what it shows
     "healthy": ("10", "Residuals without a fault", "Only encoder noise should be left."),

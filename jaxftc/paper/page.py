@@ -31,7 +31,7 @@ def demo_page(config: Config, gains: Gains, experiment: Experiment, ran: Mapping
     """The paper's experiment: claims, block diagram, the paper's figures in their order, comparison table; what ran."""
     sections = [
         f"<p>{html.escape(_about(config))}</p>",
-        "<h2>What became of the paper's claims</h2>" + _claims(experiment.claims),
+        "<h2>The paper's claims, met or not</h2>" + _claims(experiment.claims),
         f"<h2 id='figure-8'>Figures 1 and 8. What runs in one tick</h2>{diagram.draw()}",
         "<h2>The paper's figures, from our runs</h2>",
         *(

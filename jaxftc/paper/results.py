@@ -32,7 +32,7 @@ class Comparison(NamedTuple):
     after: str
     seeds: int
     chattering: float  # 1/s, at which both were read off
-    louder: bool  # ``before`` chatters more than that even at its calmest, where it was read off
+    louder: bool  # ``before`` is taken at its lowest chattering, which is higher than that
     before_deg: float  # tracking rms, geometric mean
     after_deg: float
     change: tuple[float, float, float]  # relative: mean, and 95 % interval from low to high

@@ -46,7 +46,7 @@ def campaign(
     for row, trace in worst:
         title = f"Scenario {row['scenario_id']}: {row['kind']} {row['fault_tau']} {row['fault_q']}".strip()
         command = f"jaxftc simulate --from {shlex.quote(str(folder))} --id {row['scenario_id']}"
-        sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Again: <code>{html.escape(command)}</code></p>"]
+        sections += [f"<h2>{html.escape(title)}</h2><p>{_fate(row)}. Replay: <code>{html.escape(command)}</code></p>"]
         columns = metrics.columns(trace)
         sections += [embed(residual_figure(config, columns, "Residuals", _shown(row)))]
     title = f"jaxftc campaign: {result['scheme']}, {result['n']} scenarios"
@@ -103,7 +103,7 @@ def confusion(result: dict[str, Any]) -> go.Figure:
 
 
 def delays(rows: Table) -> go.Figure:
-    """Share of the faults found within a time, by kind."""
+    """Share of the faults detected within a time, by kind."""
     figure = go.Figure()
     last = 1e3 * max((x for x in rows["delay_s"] if math.isfinite(x)), default=0.0)
     for k, (name, part) in enumerate(by_kind(rows).items()):
@@ -118,9 +118,9 @@ def delays(rows: Table) -> go.Figure:
             x=np.maximum(points, 0.5), y=100 * level, name=f"{name} ({len(delay)})", mode="lines",
             line={"shape": "hv", "color": COLOURS[k % len(COLOURS)], "dash": dash},
         )  # fmt: skip
-    figure.update_yaxes(title_text="% of the faults found", range=[0, 102])
+    figure.update_yaxes(title_text="% of faults detected", range=[0, 102])
     figure = finish(
-        figure, "Found within", "Delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses."
+        figure, "Detected within", "Delays below a tick are drawn at 0.5 ms; a curve that ends below 100 % has misses."
     )
     return figure.update_xaxes(LOGARITHMIC, title_text="delay, ms")
 
@@ -134,7 +134,9 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
     curves = [result["roc"]["detection"] for result in found.values()]
     kinds = [kind for kind in FAULTY if any(x is not None for curve in curves for x in curve[kind])] or list(FAULTY[:1])
     titles = [title for kind in kinds for title in (f"{kind} faults", "")]
-    figure = make_subplots(len(kinds), 2, shared_xaxes=True, vertical_spacing=0.28 / len(kinds), subplot_titles=titles)
+    figure = make_subplots(
+        len(kinds), 2, shared_xaxes=True, vertical_spacing=0.28 / len(kinds), horizontal_spacing=0.28, subplot_titles=titles
+    )
     for k, (scheme, result) in enumerate(found.items()):
         curve = result["roc"]
         least = 50 / max(result["n_healthy"], 1)  # none of them: half a run
@@ -152,10 +154,10 @@ def trade_off(found: dict[str, dict[str, Any]]) -> go.Figure:
             }  # fmt: skip
             figure.add_scatter(y=share[first:], name=scheme, showlegend=row == 1, **look, row=row, col=1)
             figure.add_scatter(y=late[first:], showlegend=False, **look, row=row, col=2)
-    figure.update_yaxes(title_text="% found", col=1).update_yaxes(title_text="delay, ms", rangemode="tozero", col=2)
+    figure.update_yaxes(title_text="% detected", col=1).update_yaxes(title_text="delay, ms", rangemode="tozero", col=2)
     note = (
         "Across: the share of healthy runs with an alarm; delays are medians. Ringed: scale 1, what ran. No alarm "
-        "at all is drawn as half a run. A curve ends where lower thresholds find no more: alarms are up before the fault."
+        "at all is drawn as half a run. A curve ends where lower thresholds detect no more: alarms precede the fault."
     )
     figure = finish(figure, "Each point is a scale of all thresholds", note, panels=len(kinds))
     figure.update_xaxes(title_text="").update_xaxes(title_text="% false alarms", row=len(kinds))
@@ -188,7 +190,7 @@ def _kinds(result: dict[str, Any]) -> str:
     ]
     note = "Detected is a share of all faults, the others are shares of the detected ones. Times and errors are medians."
     verdict = table(head, rows, units=units) + f"<p class='note'>{note}</p>"
-    head = ("fault", "delay", "its 95 %", "all named", "isolated", "torque est.", "angle est.", "tracking")
+    head = ("fault", "delay", "95 % interval", "all named", "isolated", "torque est.", "angle est.", "tracking")
     units = ("", *("ms",) * 4, "rms N m", "rms deg", "rms deg")
     rows = [(name, *_times(part), *(show(part[k], 1, 3) for k in ERRORS)) for name, part in kinds]
     return verdict + table(head, rows, units=units)
@@ -196,7 +198,10 @@ def _kinds(result: dict[str, Any]) -> str:
 
 def _times(part: dict[str, Any]) -> tuple[str, ...]:
     bounds = " to ".join(show(x, 1e3, 0, "missed") for x in part["delay_median_s_95"])
-    delay, named, isolated = (show(part[f"{k}_median_s"], 1e3, 0, "missed") for k in ("delay", "complete", "isolated"))
+    delay, named, isolated = (
+        show(part[f"{k}_median_s"], 1e3, 0, absent)
+        for k, absent in (("delay", "missed"), ("complete", "never"), ("isolated", "never"))
+    )
     return delay, bounds, named, isolated
 
 

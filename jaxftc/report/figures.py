@@ -179,8 +179,12 @@ def surface_figure(config: Config, gains: dict[str, Gains], title: str) -> go.Fi
             showlegend=False, hoverinfo="skip", row=1, col=column,
         )  # fmt: skip
     figure.update_yaxes(title_text="s, rad/s", row=1, col=1)
-    finish(figure, title, "alpha_online, with joint 1's floor; crosses: centres of the sets.")
-    return figure.update_xaxes(title_text="joint position, deg").update_layout(margin_t=40 if len(gains) > 1 else 16)
+    finish(
+        figure,
+        title,
+        "alpha_online over joint position q and sliding surface s, with joint 1's floor; crosses: centres of the sets.",
+    )
+    return figure.update_xaxes(title_text="q, deg").update_layout(margin_t=40 if len(gains) > 1 else 16)
 
 
 def trace_page(

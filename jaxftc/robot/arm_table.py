@@ -120,6 +120,7 @@ class _Reader:
         self.table = table
 
     def arm(self, folder: Path) -> Arm:
+        """The arm: its model, read from ``folder``, with the file's numbers in place of the model's."""
         _known("", self.table, TOP_KEYS)
         model, tip = self.table.get("model"), self.table.get("tip")
         if not isinstance(model, str) or not model:

@@ -10,7 +10,7 @@ from jaxftc.view import stage
 from jaxftc.view.looks import Colour
 from jaxftc.view.replay import ALARM, DETECTED, FAULT, Replay
 
-COLOURS: dict[int, Colour] = {  # of a joint by its state, told apart by colour-blind readers: vermillion, blue, orange
+COLOURS: dict[int, Colour] = {  # of a joint by its state, told apart by colour-blind readers: vermilion, blue, orange
     FAULT: (0xD5 / 255, 0x5E / 255, 0.0, 1.0),
     DETECTED: (0.0, 0x72 / 255, 0xB2 / 255, 1.0),
     ALARM: (0xE6 / 255, 0x9F / 255, 0.0, 1.0),

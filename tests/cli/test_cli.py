@@ -1,5 +1,6 @@
 """The command line as a user meets it: help is quick, JSON is clean, refusals are one line and exit code 2."""
 
+import ast
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import signal
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from itertools import pairwise
 from pathlib import Path
 
 import duckdb
@@ -15,7 +17,7 @@ import pytest
 
 import jaxftc
 from jaxftc.cli import common, results
-from jaxftc.cli.main import main, parse
+from jaxftc.cli.main import commands, main, parse
 from jaxftc.io.files import SUFFIX
 
 QUICK = ["--engine", "chain", "--no-compilation-cache", "--duration", "0.3"]
@@ -133,6 +135,39 @@ def test_help_needs_no_jax(tmp_path):
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "demo" in done.stdout and "--scenario" in done.stdout
+
+
+def test_words_on_an_option_are_one_line():
+    """The help keeps a line break of an option's own words, wherever that falls."""
+    root, broken = Path(jaxftc.__file__).parents[1], []
+    for path in (*root.glob("jaxftc/cli/*.py"), root / "tuning" / "cli.py", root / "benchmarks" / "cli.py"):
+        for cls in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ClassDef)):
+            for field, words in pairwise(cls.body):
+                if (
+                    isinstance(field, ast.AnnAssign)
+                    and isinstance(words, ast.Expr)
+                    and "\n" in ast.literal_eval(words.value)
+                ):
+                    broken.append(f"{path.name}: {ast.unparse(field)}")
+    assert not broken
+
+
+@pytest.mark.parametrize("name", sorted(commands()))
+def test_help_shows_no_none_and_no_markup(name, capsys):
+    with pytest.raises(SystemExit):
+        parse([name, "--help"])
+    text = capsys.readouterr().out
+    assert "--json" in text
+    assert not [word for word in ("{None}", "(default: None)", "(default: )", "``") if word in text]
+
+
+def test_help_lists_every_command_in_a_line(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    with pytest.raises(SystemExit):
+        parse(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("•")[1].split()[0] for line in lines if "•" in line] == list(commands())
+    assert len(lines) < len(commands()) + 16  # a first line each
 
 
 def test_a_robot_file_needs_no_word_about_friction(tmp_path, monkeypatch):

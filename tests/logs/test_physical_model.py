@@ -12,7 +12,7 @@ from jax.test_util import check_grads
 
 from jaxftc import identify, load_robot, logs
 from jaxftc.cli.main import main
-from jaxftc.identify import consistent
+from jaxftc.identify import consistent, derivatives
 from jaxftc.identify.linear_torque import from_link, inverse, to_link
 from jaxftc.robot.dynamics import inverse_dynamics
 
@@ -223,3 +223,11 @@ def test_what_the_command_refuses_is_one_line(folder, capsys, tmp_path):
         with pytest.raises(SystemExit) as left:
             main(["identify", *map(str, words), "--robot", str(folder / "small.urdf"), "--out", str(tmp_path / "x")])
         assert left.value.code == 2 and said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("rows", [1000, 6000])  # shorter and longer than the spectrum is made of
+def test_the_band_of_a_fast_joint_and_of_one_at_rest_are_the_limits_in_short_logs_too(rows):
+    t, noise = 1e-3 * np.arange(rows), 1e-5 * np.random.default_rng(3).standard_normal((rows, 2))
+    q = np.stack([np.sin(2 * np.pi * 20.0 * t), np.zeros(rows)], axis=1) + noise
+    found = derivatives.band(logs.Log(q, np.zeros_like(q), dt=1e-3))
+    np.testing.assert_array_equal(found, [derivatives.RIGID, derivatives.LOWEST])
