@@ -42,7 +42,8 @@ class Tune(common.Options):
     seed: int = 0
     """Seed of the scenarios, their noise and the search."""
     preset: str = "standard"
-    """Laws that the training scenarios are drawn from: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    """Laws that the training scenarios are drawn from: standard, hard, doubles, uncommon, contact, paper, or your own
+    TOML file."""
     scheme: str = "cascade"
     """What diagnoses and controls: cascade, adaptive (the cascade with an arm that is learned), momentum, ekf,
     computed_torque, or your own, module:object."""

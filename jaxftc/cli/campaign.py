@@ -24,7 +24,7 @@ class Laws(common.Options):
     """Options of the commands that draw scenarios from a preset."""
 
     preset: str = "standard"
-    """Laws of the scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    """Laws of the scenarios: standard, hard, doubles, uncommon, contact, paper, or your own TOML file."""
     engine: Literal["mjx", "chain"] = "chain"
     """Plant dynamics: the unrolled chain, or MuJoCo MJX (same motion, several times slower)."""
     coulomb: bool = True
@@ -81,6 +81,9 @@ class Campaign(Laws):
     gains stay."""
     follow: bool = False
     """Let the torque thresholds follow the motion, as jaxftc calibrate --follow does; needs --false-alarms or --compare."""
+    contact: int = 0
+    """How many motors may fail at once: torque alarms of more joints that a force on a link
+    explains are a contact. 0 judges no contacts; the cascade only."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
     cluster: str | None = None
@@ -109,7 +112,7 @@ class Campaign(Laws):
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        base = self.base()
+        base = dataclasses.replace(self.base(), contact=self.contact)
         jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if self.follow and share is None:
@@ -240,6 +243,7 @@ class Campaign(Laws):
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         request |= {"follow": True} if self.follow else {}
+        request |= {"contact": self.contact} if self.contact else {}
         if self.gains is not None:
             request["gains"] = [str(self.gains), fingerprint(self.gains.read_text(encoding="utf-8"))]
         return request

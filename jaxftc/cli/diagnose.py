@@ -34,6 +34,9 @@ class Diagnose(LogOptions, common.ArmOptions):
 
     log: Annotated[Path | None, tyro.conf.Positional] = None
     """Log: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
+    contact: int = 1
+    """How many motors may fail at once: torque alarms of more joints that a force on a link
+    explains are a contact, with link and size. 0 judges no contacts."""
     gains: Path | None = None
     """Gains of jaxftc calibrate --logs; default thresholds, of an exact model, if not given."""
 
@@ -72,7 +75,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             for log, begins, goes_on in pieces(path, *self._wanted(arm), **self._reading(arm)):
                 notes += [note for note in log.notes if note not in notes]
                 if stream is None:
-                    config = log_config(arm.robot, log.dt or 1e-3)
+                    config = dataclasses.replace(log_config(arm.robot, log.dt or 1e-3), contact=self.contact)
                     stream = Stream(config, self._gains(arm, config))
                     found = timeline.Timeline(names, config.dt)
                 assert found is not None

@@ -117,7 +117,7 @@ def step(
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
     statistic = _trusted(statistic, learned)
-    inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd)
+    inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd, at)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
     return state, _report(config, gains, seen, residual, statistic, level, said, law, command)
@@ -240,4 +240,5 @@ def _report(
         qd_hat=law.qd_hat,
         s=law.s,
         alpha_online=law.alpha_online,
+        force=said.force,
     )
