@@ -20,8 +20,8 @@ class Verdict(IntFlag):
     """What is said of a joint, Eq. (18); arrays hold its number.
 
     ``UNKNOWN`` stands alone: the state that came was lost (not finite, or beyond all that a tick makes), the arm starts anew
-    from this tick's readings, and nothing is known of any of its joints. ``CONTACT`` is said of joints 1 to l where something
-    pushes on link l: they all bear the force.
+    from this tick's readings, and nothing is known of any of its joints. ``CONTACT`` is said of joints 1 to l where
+    something pushes on link l: they all bear the force.
     """
 
     NORMAL = 0

@@ -81,9 +81,8 @@ def _share(x: Array) -> Array:
 
 def fault_tau(run: Run) -> Array:
     """Error of the torque-fault estimate, rms, against the smallest fault of ``standard``."""
-    return _share(
-        _rms(run.trace.out.fault_tau_hat - (run.trace.fault_tau + run.trace.contact_tau), SMALL_TORQUE * _limit(run))
-    )
+    true = run.trace.fault_tau + run.trace.contact_tau
+    return _share(_rms(run.trace.out.fault_tau_hat - true, SMALL_TORQUE * _limit(run)))
 
 
 def fault_q(run: Run) -> Array:
@@ -113,9 +112,7 @@ class Alarms(NamedTuple):
     tau: Array  # [T, n, ...] grade of the actuator bit of the verdict, Eq. (18)
     q: Array  # [T, n, ...] grade of the sensor bit
     ratios: tuple[Array, Array]  # [T, n, ...] statistic over threshold, torque and encoder channel
-    faulty_tau: (
-        Array  # [n, ...] bool, the joint has an actuator fault in this run, or bears more of a contact than its threshold
-    )
+    faulty_tau: Array  # [n, ...] bool, an actuator fault in this run, or more of a contact than its threshold
     faulty_q: Array  # [n, ...] bool, an encoder fault
     since: Array  # [T, ...] s since the first onset; -inf in a healthy run
     left: Array  # [T, ...] s until the last clearance
