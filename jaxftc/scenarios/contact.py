@@ -21,6 +21,7 @@ from jaxftc.scenarios.preset_error import PresetError, is_integer
 from jaxftc.scenarios.uniforms import UniformStream
 from jaxftc.types import Array
 
+Vector = ArrayLike | Sequence[float]
 S = TypeVar("S")  # Scenario, which has the builder as a method
 
 
@@ -107,9 +108,9 @@ def with_contact(
     force: ArrayLike,
     onset: ArrayLike,
     *,
-    axis: ArrayLike = (0.0, 0.0, 1.0),
+    axis: Vector = (0.0, 0.0, 1.0),
     along: ArrayLike = 1.0,
-    offset: ArrayLike = (0.0, 0.0, 0.0),
+    offset: Vector = (0.0, 0.0, 0.0),
     **law: Unpack[TimeLaw],
 ) -> S:
     """Something pushes against a link; it takes the place of a contact that was there.
@@ -150,7 +151,7 @@ def with_contact(
     return given._replace(contact=contact)
 
 
-def _unit(axis: ArrayLike) -> ArrayLike:
+def _unit(axis: Vector) -> Array:
     """Of length 1."""
     length = jnp.linalg.norm(jnp.asarray(axis, float), axis=-1, keepdims=True)
     if not isinstance(length, Tracer) and not (np.asarray(length) > 0).all():

@@ -18,7 +18,8 @@ from jax.typing import ArrayLike
 from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant, nominal_plant
-from jaxftc.scenarios import builders, contact
+from jaxftc.scenarios import builders
+from jaxftc.scenarios import contact as contacts
 from jaxftc.scenarios.contact import Contact, no_contact
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
 from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START, within_range
@@ -53,7 +54,7 @@ class Scenario(NamedTuple):
     plant: Plant
     contact: Contact
 
-    with_contact = contact.with_contact
+    with_contact = contacts.with_contact
     with_actuator_bias = builders.with_actuator_bias
     with_actuator_loss = builders.with_actuator_loss
     with_actuator_saturation = builders.with_actuator_saturation

@@ -89,7 +89,7 @@ def test_drawn_contacts_keep_their_law(drawn):
     assert 0.46 < there.mean() < 0.54 and (contact.link[~there] == 0).all() and set(contact.link[there]) == {2, 3}
     assert 0.45 < (contact.link[there] == 2).mean() < 0.55
     assert contact.size[there].min() >= 20 and contact.size[there].max() <= 100 and 55 < contact.size[there].mean() < 65
-    assert 0.0 <= contact.along.min() and contact.along.max() <= 1.0
+    assert contact.along.min() >= 0.0 and contact.along.max() <= 1.0
     np.testing.assert_allclose(np.linalg.norm(contact.offset, axis=1), 0.05, rtol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(contact.axis, axis=1), 1.0, rtol=1e-6)
     np.testing.assert_allclose(contact.axis.mean(0), 0.0, atol=0.04)  # every direction is as likely
@@ -104,11 +104,11 @@ def test_what_calibration_runs_on_has_no_contact(drawn):
 
 def test_a_preset_needs_the_law_of_what_it_draws(small):
     preset = load_preset("standard")
-    with pytest.raises(ValueError, match="contact: missing, but 0.5 of all scenarios have one"):
+    with pytest.raises(ValueError, match=r"contact: missing, but 0\.5 of all scenarios have one"):
         dataclasses.replace(preset, shares=Shares(healthy=0.5, contact=0.5))
     for wrong in ({"size": -1.0}, {"along": Uniform((0.0, 2.0))}, {"radius_m": -0.1}, {"links": ()}, {"links": (0,)}):
         with pytest.raises(ValueError, match=next(iter(wrong))):
             ContactLaw(**{"size": 10.0} | wrong)
     far = dataclasses.replace(preset, contact=ContactLaw(size=10.0, links=(4,)))
-    with pytest.raises(ValueError, match="contact.links: .* has links 1 to 3"):
+    with pytest.raises(ValueError, match=r"contact\.links: .* has links 1 to 3"):
         jaxftc.sample_scenarios(jax.random.key(0), 2, far, config=small)
