@@ -104,7 +104,8 @@ class Watch:
             return None
         verdict, names = Verdict(reacted.verdict[hit[0]]), self._robot.joint_names
         if verdict == Verdict.CONTACT:
-            return Trip("verdict", f"contact on the link of {names[hit[-1]]}")
+            link = np.flatnonzero(reacted.verdict == Verdict.CONTACT)[-1]
+            return Trip("verdict", f"contact on the link of {names[link]}")
         return Trip("verdict", f"{verdict.label} fault of {names[hit[0]]}")
 
     def _longest(self, times: np.ndarray) -> str:

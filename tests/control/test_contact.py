@@ -13,6 +13,8 @@ import jaxftc
 from jaxftc.diagnosis import contact
 from jaxftc.logs.diagnose import diagnose
 from jaxftc.logs.log import Log
+from jaxftc.realtime import reaction
+from jaxftc.realtime.trips import Trip, Trips, Watch
 from jaxftc.robot import forces, rigid_body
 from jaxftc.robot.dynamics import inverse_dynamics
 from jaxftc.scenarios.scenario import stack, trail
@@ -249,3 +251,14 @@ def test_the_diagnoser_tells_a_force_on_a_link(small):
     assert not (said[0].verdict[:200] > 0).any() and (said[0].verdict[-1] == CONTACT).all()
     assert 15 < said[0].force[-1, 2] < 45 and not said[0].force[-1, :2].any()
     assert (said[1].verdict[-1] == [0, 1, 0]).all() and not (said[1].verdict & CONTACT).any()
+
+
+def test_a_loop_can_stop_at_a_contact(small):
+    watch = Watch(Trips(verdicts=(jaxftc.Verdict.CONTACT,)), small)
+    zero = np.zeros(3)
+
+    def confirmed(*verdict):
+        return watch.verdicts(reaction.State(zero, np.array(verdict), np.array(verdict), zero, zero))
+
+    assert confirmed(1, 2, 0) is None
+    assert confirmed(CONTACT, CONTACT, 2) == Trip("verdict", f"contact on the link of {small.robot.joint_names[1]}")
