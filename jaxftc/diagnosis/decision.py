@@ -1,8 +1,7 @@
 """Decision logic, Eqs. (17), (18), block 7: two alarms and a sensor check for each joint, one verdict.
 
 A reading that the sensor check holds to be wrong explains the torque residual of its joint, so the actuator bit of that
-joint is off. Torque alarms that a force on a link explains better are a contact (``contact.py``). No gradient passes through
-a verdict: tune on the statistics instead.
+joint is off. No gradient passes through a verdict: tune on the statistics instead.
 """
 
 from __future__ import annotations
@@ -13,11 +12,10 @@ import jax.numpy as jnp
 
 from jaxftc.compile.box import box
 from jaxftc.config import Config
-from jaxftc.diagnosis import alarm, contact, sensor_check
+from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
 from jaxftc.observer.cascade import Estimate
-from jaxftc.robot.rigid_body import Pose
 from jaxftc.types import Array, SensorStatus
 
 
@@ -37,7 +35,6 @@ class Inputs(NamedTuple):
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
     qdd: Array  # [n, ...] rad/s^2, acceleration that the command of the last tick stands for, without faults
-    at: Pose  # of the arm
 
 
 class Decision(NamedTuple):
@@ -45,7 +42,6 @@ class Decision(NamedTuple):
 
     verdict: Array  # [n, ...] int32, Eq. (18)
     sensors: SensorStatus
-    force: Array  # [n, ...] N, on the link of a joint
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -61,9 +57,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     checked = sensor_check.Inputs(alarms, level, inputs.residual_tau, inputs.estimate, inputs.qd_hat, inputs.qdd)
     check_next, sensors = sensor_check.step(config, gains, state.check, checked)
     suspect = sensors.suspect > 0
-    bits = verdict(alarms.tau & ~suspect, alarms.q | suspect)
-    found = contact.judge(config, contact.Inputs(inputs.at, inputs.statistics.tau, level, bits))
-    return State(alarms_next, check_next), Decision(found.verdict, sensors, found.force)
+    return State(alarms_next, check_next), Decision(verdict(alarms.tau & ~suspect, alarms.q | suspect), sensors)
 
 
 def verdict(actuator: Array, sensor: Array) -> Array:
