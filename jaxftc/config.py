@@ -44,6 +44,9 @@ class Config:
             mended (``eso_printed``: as printed), ``ts`` adds block 4.
         control: Sliding-mode law: Eq. (19), (24) or (30).
         adaptive: Whether payload and friction are learned while the arm runs; the cascade's only.
+        contact: How many motors may fail at once. Torque alarms of more joints that a force on a
+            link explains are a contact; with 0 contacts are not judged, with 1 two faults at once may
+            be called one. The cascade's and the Diagnoser's.
         order_a: Laguerre functions on the output.
         order_b: Laguerre functions on the input.
         input: What drives the ARX model: an acceleration from the rigid-body model, or the torques
@@ -69,6 +72,7 @@ class Config:
     observer: Observer = "ts"
     control: Control = "afesmc"
     adaptive: bool = False
+    contact: int = 0
     order_a: int = 3
     order_b: int = 2
     input: Literal["rigid_body", "torque"] = "rigid_body"
@@ -100,6 +104,7 @@ class Config:
         checks.one_of("rules", self.rules, tuple(TABLES))
         checks.one_of("sign", self.sign, ("smooth", "hard"))
         self._check_adaptive()
+        checks.integer("contact", self.contact, 0, "it is how many motors may fail at once; 0 judges no contacts", 2)
         checks.integer("order_a", self.order_a, 2, "a joint is a double integrator; 3 suits it at 1 kHz")
         checks.integer("order_b", self.order_b, 2, "a joint is a double integrator; 2 suits it at 1 kHz")
         checks.integer("alarm_ticks", self.alarm_ticks, 1, "1 alarms at once")

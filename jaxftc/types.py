@@ -20,7 +20,8 @@ class Verdict(IntFlag):
     """What is said of a joint, Eq. (18); arrays hold its number.
 
     ``UNKNOWN`` stands alone: the state that came was lost (not finite, or beyond all that a tick makes), the arm starts anew
-    from this tick's readings, and nothing is known of any of its joints.
+    from this tick's readings, and nothing is known of any of its joints. ``CONTACT`` is said of joints 1 to l where
+    something pushes on link l: they all bear the force.
     """
 
     NORMAL = 0
@@ -28,14 +29,18 @@ class Verdict(IntFlag):
     SENSOR = 2
     BOTH = 3
     UNKNOWN = 4
+    CONTACT = 8
 
     @property
     def label(self) -> str:
-        """Its name in files: normal, actuator, sensor, both or unknown."""
-        return LABELS[self] if self < Verdict.UNKNOWN else "unknown"
+        """Its name in files: normal, actuator, sensor, both, contact or unknown."""
+        if self & Verdict.UNKNOWN:
+            return "unknown"
+        return "contact" if self & Verdict.CONTACT else LABELS[self]
 
 
 LABELS = ("normal", "actuator", "sensor", "both")  # of the verdicts 0 to 3
+KINDS = (*LABELS, "contact")  # of what can be wrong in a run
 
 
 class Reference(NamedTuple):
@@ -104,6 +109,8 @@ class Output(NamedTuple):
         s: [n, ...] rad/s, sliding surface, Eq. (19).
         alpha_online: [n, ...] 1, fuzzy factor on the switching gain, Eq. (33); 1 where it is not
             used.
+        force: [n, ...] N, size of a force on the link that the joint moves, where the verdict is a
+            contact and the link is the last that it names; else 0.
     """
 
     tau: Array
@@ -122,3 +129,4 @@ class Output(NamedTuple):
     qd_hat: Array
     s: Array
     alpha_online: Array
+    force: Array

@@ -43,7 +43,7 @@ class Tune(common.Options):
     seed: int = 0
     """Seed of the scenarios, their noise and the search."""
     preset: str = "standard"
-    """Distributions of the training scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    """Distributions of the training scenarios: standard, hard, doubles, uncommon, contact, paper, or your own TOML file."""
     scheme: common.Scheme = "cascade"
     observer: Literal["pi", "eso", "ts"] = "ts"
     """PI, PI with super-twisting, or both with the Takagi-Sugeno stage."""

@@ -81,7 +81,8 @@ def _share(x: Array) -> Array:
 
 def fault_tau(run: Run) -> Array:
     """Error of the torque-fault estimate, rms, against the smallest fault of ``standard``."""
-    return _share(_rms(run.trace.out.fault_tau_hat - run.trace.fault_tau, SMALL_TORQUE * _limit(run)))
+    true = run.trace.fault_tau + run.trace.contact_tau
+    return _share(_rms(run.trace.out.fault_tau_hat - true, SMALL_TORQUE * _limit(run)))
 
 
 def fault_q(run: Run) -> Array:
@@ -111,7 +112,7 @@ class Alarms(NamedTuple):
     tau: Array  # [T, n, ...] grade of the actuator bit of the verdict, Eq. (18)
     q: Array  # [T, n, ...] grade of the sensor bit
     ratios: tuple[Array, Array]  # [T, n, ...] statistic over threshold, torque and encoder channel
-    faulty_tau: Array  # [n, ...] bool, the joint has an actuator fault in this run
+    faulty_tau: Array  # [n, ...] bool, an actuator fault in this run, or more of a contact than its threshold
     faulty_q: Array  # [n, ...] bool, an encoder fault
     since: Array  # [T, ...] s since the first onset; -inf in a healthy run
     left: Array  # [T, ...] s until the last clearance
@@ -123,10 +124,14 @@ def alarms(run: Run) -> Alarms:
     ratios = jnp.abs(out.statistic_tau) / out.threshold_tau, jnp.abs(out.statistic_q) / out.threshold_q
     grade_tau, grade_q = (jax.nn.sigmoid((ratio - 1) / SOFTNESS) for ratio in ratios)
     trusted = 1 - jax.lax.stop_gradient(out.suspect)
-    faults = scenario.fault_tau, scenario.fault_q
+    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact
     faulty = [fault.kind > 0 for fault in faults]
+    pushed = (jnp.abs(run.trace.contact_tau) >= out.threshold_tau).any(0)
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
+    onset = jnp.minimum(onset, jnp.where(pushed.any(0), contact.onset, jnp.inf))
+    clear = jnp.maximum(clear, jnp.where(pushed.any(0), contact.clear, -jnp.inf))
+    faulty[0] = faulty[0] | pushed
     t = run.trace.t.reshape(-1, *[1] * onset.ndim)
     return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratios, faulty[0], faulty[1], t - onset, clear - t)
 

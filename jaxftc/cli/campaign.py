@@ -24,7 +24,7 @@ class Laws(common.Options):
     """Options of the commands that draw scenarios from a preset."""
 
     preset: str = "standard"
-    """Distributions of the scenarios: standard, hard, doubles, uncommon, paper, or your own TOML file."""
+    """Distributions of the scenarios: standard, hard, doubles, uncommon, contact, paper, or your own TOML file."""
     engine: Literal["mjx", "chain"] = "chain"
     """Simulated arm: recursions unrolled from its model, or MuJoCo MJX (same motion, several times slower)."""
     coulomb: bool = True
@@ -77,6 +77,8 @@ class Campaign(Laws):
     """First calibrate the thresholds for this share of healthy runs with an alarm; 0.01 with --compare."""
     follow: bool = False
     """Torque thresholds that follow the motion, as in jaxftc calibrate; needs --false-alarms or --compare."""
+    contact: int = 0
+    """Judge contacts, where at most so many motors fail at once (1 or 2); 0 judges none. The cascade only."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
     cluster: Annotated[str | None, common.left_out("local|HOST:PORT")] = None
@@ -104,7 +106,7 @@ class Campaign(Laws):
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        base = self.base()
+        base = dataclasses.replace(self.base(), contact=self.contact)
         jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if self.follow and share is None:
@@ -237,6 +239,7 @@ class Campaign(Laws):
         request |= {} if self.duration is None else {"duration": self.duration}
         request |= {} if share is None else {"false_alarms": share}
         request |= {"follow": True} if self.follow else {}
+        request |= {"contact": self.contact} if self.contact else {}
         if self.gains is not None:
             request["gains"] = [str(self.gains), fingerprint(self.gains.read_text(encoding="utf-8"))]
         return request

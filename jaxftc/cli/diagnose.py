@@ -35,6 +35,8 @@ class Diagnose(LogOptions, common.ArmOptions):
 
     log: Annotated[Path | None, tyro.conf.Positional, common.left_out("LOG")] = None
     """Log: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
+    contact: int = 1
+    """Judge contacts, where at most so many motors fail at once (1 or 2); 0 judges none."""
     gains: common.MaybePath = None
     """Gains that jaxftc calibrate --logs wrote; default thresholds, which suit an exact model only, if not given."""
 
@@ -73,7 +75,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             for log, begins, goes_on in pieces(path, *self._wanted(arm), **self._reading(arm)):
                 notes += [note for note in log.notes if note not in notes]
                 if stream is None:
-                    config = log_config(arm.robot, log.dt or 1e-3)
+                    config = dataclasses.replace(log_config(arm.robot, log.dt or 1e-3), contact=self.contact)
                     stream = Stream(config, self._gains(arm, config))
                     found = timeline.Timeline(names, config.dt)
                 assert found is not None

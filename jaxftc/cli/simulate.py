@@ -182,7 +182,7 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
     from jaxftc.evaluation import metrics
     from jaxftc.types import Verdict
 
-    wanted, present = metrics.truth(trace["fault_tau"], trace["fault_q"])
+    wanted, present = metrics.truth(trace)
     scored = metrics.detection(config, trace["verdict"], wanted, present).verdict
     saturated = (np.abs(trace["tau"]) >= config.robot.torque_limit * (1 - 1e-6)).mean(0)
     joints = [

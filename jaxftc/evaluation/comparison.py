@@ -12,6 +12,7 @@ from jaxftc.evaluation import verdicts
 from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.summary import ERRORS, FAULTY, Table
 from jaxftc.io.text_table import aligned
+from jaxftc.types import KINDS
 
 UNFIT = 0.1  # share of healthy runs with an alarm beyond which thresholds are of no use
 MOSTLY = 0.5  # share of faults below the thresholds from which it is said
@@ -36,7 +37,7 @@ def against(rows: Mapping[str, Table]) -> list[dict[str, Any]]:
     return [
         {"scheme": first, "other": other, "kind": kind} | _pair(ours, theirs, kind)
         for other, theirs in others
-        for kind in FAULTY
+        for kind in KINDS[1:]
         if (ours["kind"] == kind).any()
     ]
 

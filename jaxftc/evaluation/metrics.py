@@ -42,11 +42,15 @@ def rms(x: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(x, dtype=np.float64))))
 
 
-def truth(fault_tau: np.ndarray, fault_q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(verdict [n] that is right while the faults are there, whether any is there [T]) from the true faults [T, n]."""
-    tau, q = fault_tau != 0, fault_q != 0
-    actuator, sensor = tau.any(0), q.any(0)
-    return Verdict.ACTUATOR * actuator | Verdict.SENSOR * sensor, (tau | q).any(1)
+def truth(trace: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """(verdict [n] that is right while the faults are there, whether any is there [T]) of a trace's true faults [T, n].
+
+    A force is borne by all joints before the last that it turns.
+    """
+    tau, q, contact = (trace[name] != 0 for name in ("fault_tau", "fault_q", "contact_tau"))
+    bears = np.logical_or.accumulate(contact.any(0)[::-1])[::-1]
+    wanted = Verdict.ACTUATOR * tau.any(0) | Verdict.SENSOR * q.any(0) | Verdict.CONTACT * bears
+    return wanted, (tau | q | contact).any(1)
 
 
 def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: np.ndarray) -> Detection:
@@ -121,9 +125,9 @@ def evaluate(config: Config, trace: dict[str, np.ndarray]) -> Metrics:
             )
             + "give smaller faults or gains, or a longer motion"
         )
-    found = detection(config, trace["verdict"], *truth(trace["fault_tau"], trace["fault_q"]))
+    found = detection(config, trace["verdict"], *truth(trace))
     return Metrics(
-        fault_tau_rms_nm=rms(trace["fault_tau_hat"] - trace["fault_tau"]),
+        fault_tau_rms_nm=rms(trace["fault_tau_hat"] - (trace["fault_tau"] + trace["contact_tau"])),
         fault_q_rms_deg=float(np.rad2deg(rms(trace["fault_q_hat"] - trace["fault_q"]))),
         delay_s=found.delay_s,
         isolated=found.isolated,

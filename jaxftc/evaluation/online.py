@@ -25,7 +25,7 @@ from jaxftc.numerics.batch import trailing
 from jaxftc.robot import lanes
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.simulation.closed_loop import Trace
-from jaxftc.types import Array
+from jaxftc.types import Array, Verdict
 
 SETTLED = 0.300  # s after the alarm at which the verdict has settled; at clearance, if that comes first
 ISOLATED = 0.020  # s for which every joint's verdict must stay right to count as isolated
@@ -45,7 +45,7 @@ class Truth(NamedTuple):
 class Score(NamedTuple):
     """One run. Sums run over joints and ticks; times are infinite where the thing did not happen."""
 
-    se_tau: Array  # (N m)^2, of the torque-fault estimate's error
+    se_tau: Array  # (N m)^2, of the torque-fault estimate's error; a contact's torque counts as one
     se_q: Array  # rad^2, of the encoder-fault estimate's error
     ise: Array  # rad^2, true angle against the reference
     iae: Array  # rad
@@ -69,6 +69,7 @@ class Score(NamedTuple):
     visible_at: Array  # s, first time that an oracle sees a fault
     visible: Array  # [n, ...] int32, what an oracle has seen when ``verdict`` is scored; without an alarm, ever
     visible_late: Array  # [n, ...] int32, the same for ``settled``
+    force: Array  # N, largest estimate of a contact's force in the tick that ``verdict`` is scored
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
     healthy_tau: Array  # [n, ...] N m, largest statistic that lasted for an alarm before onset, over its threshold's rise
     healthy_q: Array  # [n, ...] rad
@@ -95,12 +96,16 @@ class State(NamedTuple):
 
 def truth(config: Config, scenario: Scenario) -> Truth:
     """What the scenario says of its faults; scenario axes trailing."""
-    faults = scenario.fault_tau, scenario.fault_q
+    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact
     faulty = [(fault.kind > 0) & (fault.onset <= (config.ticks - 1) * config.dt) for fault in faults]
-    ill = (faulty[0] | faulty[1]).any(0)
+    pushed = (contact.size > 0) & (contact.link > 0) & (contact.onset <= (config.ticks - 1) * config.dt)
+    ill = (faulty[0] | faulty[1]).any(0) | pushed
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
-    wanted = faulty[0].astype(jnp.int32) + 2 * faulty[1].astype(jnp.int32)
+    onset = jnp.minimum(onset, jnp.where(pushed, contact.onset, jnp.inf))
+    clear = jnp.maximum(clear, jnp.where(pushed, contact.clear, -jnp.inf))
+    bears = pushed & (lanes.trailing_constant(np.arange(1, config.n + 1), faulty[0]) <= contact.link)
+    wanted = faulty[0].astype(jnp.int32) + 2 * faulty[1].astype(jnp.int32) + Verdict.CONTACT * bears.astype(jnp.int32)
     return Truth(wanted, ~ill, jnp.where(ill, onset, 0.0), jnp.where(ill, clear, jnp.inf))
 
 
@@ -153,7 +158,7 @@ def _arm(config: Config, state: State, tick: Trace) -> tuple[dict[str, Array], A
     error = tick.q - tick.q_ref
     size = jnp.abs(error).sum(0)
     found = {
-        "se_tau": score.se_tau + ((out.fault_tau_hat - tick.fault_tau) ** 2).sum(0),
+        "se_tau": score.se_tau + ((out.fault_tau_hat - (tick.fault_tau + tick.contact_tau)) ** 2).sum(0),
         "se_q": score.se_q + ((out.fault_q_hat - tick.fault_q) ** 2).sum(0),
         "ise": score.ise + (error * error).sum(0),
         "iae": score.iae + size,
@@ -197,7 +202,9 @@ def _verdicts(
     said = jnp.where(true.healthy, score.verdict, 0)  # of a healthy run everything counts
     risen = jnp.where(t >= true.onset, out.verdict & (state.risen | ~state.verdict), 0)
     complete = (risen & true.wanted == true.wanted).all(0) & excused & ~true.healthy
-    sight = oracle.step(oracle.Sight(score.visible_at, score.visible, score.visible_late), tick, until, until_late)
+    sight = oracle.step(
+        oracle.Sight(score.visible_at, score.visible, score.visible_late), tick, true.wanted, until, until_late
+    )
     found = {
         "isolated_at": _earliest(score.isolated_at, right >= enough, t - (enough - 1) * config.dt),
         "verdict": jnp.where(scoring, said | out.verdict, score.verdict),
@@ -206,6 +213,7 @@ def _verdicts(
         "visible_at": sight.at,
         "visible": sight.early,
         "visible_late": sight.late,
+        "force": jnp.where(scoring & ~true.healthy, out.force.max(0), score.force),
     }
     return found, risen, right
 

@@ -33,11 +33,16 @@ def init(like: Array) -> Sight:
     return Sight(jnp.full_like(like[0], jnp.inf), none, none)
 
 
-def step(before: Sight, tick: Trace, until: Array, until_late: Array) -> Sight:
-    """One tick; both verdicts are scored at the times ``until`` and ``until_late`` [...] s, infinite without an alarm."""
+def step(before: Sight, tick: Trace, wanted: Array, until: Array, until_late: Array) -> Sight:
+    """One tick; both verdicts are scored at the times ``until`` and ``until_late`` [...] s, infinite without an alarm.
+
+    ``wanted`` [n, ...] int32 is the verdict that is right: a contact that one joint shows is known of all that bear it.
+    """
     tau = jnp.abs(tick.fault_tau) >= tick.out.threshold_tau
     q = (jnp.abs(tick.fault_q) >= tick.out.threshold_q) | ~jnp.isfinite(tick.y)
+    pushed = (jnp.abs(tick.contact_tau) >= tick.out.threshold_tau).any(0)
     now = Verdict.ACTUATOR * tau.astype(jnp.int32) + Verdict.SENSOR * q.astype(jnp.int32)
+    now = now | jnp.where(pushed, wanted & Verdict.CONTACT, 0)
     return Sight(
         at=jnp.minimum(before.at, jnp.where((now > 0).any(0), tick.t, jnp.inf)),
         early=jnp.where(tick.t <= until, before.early | now, before.early),

@@ -15,15 +15,15 @@ from jaxftc.evaluation.intervals import Interval, median, share
 from jaxftc.evaluation.online import LEVELS
 from jaxftc.evaluation.table import CROSSINGS
 from jaxftc.gains import Gains
-from jaxftc.types import LABELS, Verdict
+from jaxftc.types import KINDS, LABELS, Verdict
 
 NORMAL = Verdict.NORMAL.label
 FAULTY = LABELS[1:]
 ERRORS = {  # and the kinds of scenario that they are taken over: an estimate counts where there is something to estimate
-    "fault_tau_rmse_nm": ("actuator", "both"),
+    "fault_tau_rmse_nm": ("actuator", "both", "contact"),
     "fault_q_rmse_deg": ("sensor", "both"),
-    "tracking_rmse_deg": LABELS,
-    "chattering": LABELS,
+    "tracking_rmse_deg": KINDS,
+    "chattering": KINDS,
 }
 MORE = ("tracking_max_deg", "rough", "effort", "peak", "saturated_share")  # beside them, by kind of fault
 ISOLATION = {"kind": "isolation_kind", "joint": "isolation_joint", "verdict": "isolation"}  # columns' word, figure
@@ -57,18 +57,19 @@ def summarise(rows: Table, scheme: str) -> dict[str, Any]:
     found |= _share("false_alarm_runs", rows["false_alarm"][healthy])
     found |= _share("false_alarm_before_onset", rows["false_alarm"][early])
     found |= _detection(Part(rows, faulty))
-    found["n_by_kind"] = {name: int((kind == name).sum()) for name in LABELS}
-    delays = {name: median(rows["delay_s"][kind == name]) for name in FAULTY}
+    names = kinds(rows)
+    found["n_by_kind"] = {name: int((kind == name).sum()) for name in names}
+    delays = {name: median(rows["delay_s"][kind == name]) for name in names[1:]}
     found["delay_median_s"] = {name: _number(delay.value) for name, delay in delays.items()}
     found["delay_median_s_95"] = {name: _bounds(delay) for name, delay in delays.items()}
     for column in ("visible_s", "complete_s"):
-        medians = {name: median(rows[column][kind == name]) for name in FAULTY}
+        medians = {name: median(rows[column][kind == name]) for name in names[1:]}
         found[f"{column[:-2]}_median_s"] = {name: _number(found_at.value) for name, found_at in medians.items()}
     found["confusion"] = confusion(rows).tolist()
     gone = rows["detected"] & (rows["kind_hat"] == NORMAL)
-    found["alarm_gone"] = [int((gone & (kind == name)).sum()) for name in LABELS]  # of those said to be normal
+    found["alarm_gone"] = [int((gone & (kind == name)).sum()) for name in names]  # of those said to be normal
     found["by_kind"] = _by_kind(rows)
-    found["errors"] = {name: _number(median(rows[name][np.isin(kind, kinds)]).value) for name, kinds in ERRORS.items()}
+    found["errors"] = {name: _number(median(rows[name][np.isin(kind, over)]).value) for name, over in ERRORS.items()}
     curve = roc(rows)
     return found | {"roc": curve, "at_fixed_false_alarms": _at_fixed(curve)}
 
@@ -80,9 +81,15 @@ def by_kind(rows: Table) -> dict[str, Part]:
     return {str(name): Part(rows, np.flatnonzero(fault == name)) for name in names}
 
 
+def kinds(rows: Table) -> tuple[str, ...]:
+    """What was wrong, or said to be: the verdicts 0 to 3, and contact where there is one."""
+    touched = (rows["kind"] == KINDS[-1]) | (rows["kind_hat"] == KINDS[-1])
+    return KINDS if touched.any() else LABELS
+
+
 def confusion(rows: Table) -> np.ndarray:
-    """Counts [4, 4]: true kind by row, verdict 60 ms after the alarm by column, in the order of ``Verdict``."""
-    true, said = ([rows[column] == name for name in LABELS] for column in ("kind", "kind_hat"))
+    """Counts [kinds, kinds]: true kind by row, verdict 60 ms after the alarm by column, in the order of ``kinds``."""
+    true, said = ([rows[column] == name for name in kinds(rows)] for column in ("kind", "kind_hat"))
     return np.array([[int((t & s).sum()) for s in said] for t in true])
 
 
@@ -104,12 +111,12 @@ def roc(rows: Table) -> dict[str, Any]:
 
     The sensor check does not scale, and the fuzzy stage keeps the thresholds it ran with.
     """
-    kind = rows["kind"]
+    kind, names = rows["kind"], kinds(rows)[1:]
     healthy = rows["healthy_ratio"][kind == NORMAL]
-    detection: dict[str, list[float | None]] = {name: [] for name in FAULTY}
-    delay: dict[str, list[float | None]] = {name: [] for name in FAULTY}
+    detection: dict[str, list[float | None]] = {name: [] for name in names}
+    delay: dict[str, list[float | None]] = {name: [] for name in names}
     for column in CROSSINGS:
-        for name in FAULTY:
+        for name in names:
             crossed = rows[column][kind == name]
             detection[name].append(_number(_mean(np.isfinite(crossed))))
             delay[name].append(_number(median(crossed).value))
@@ -127,7 +134,7 @@ def _at_fixed(curve: dict[str, Any]) -> dict[str, Any]:
     if not enough:
         return {"false_alarm_runs": FIXED, "scale": None}
     k = enough[0]
-    picked = {key: {name: curve[key][name][k] for name in FAULTY} for key in ("detection", "delay_median_s")}
+    picked = {key: {name: values[k] for name, values in curve[key].items()} for key in ("detection", "delay_median_s")}
     return {"false_alarm_runs": curve["false_alarm_runs"][k], "scale": curve["scale"][k]} | picked
 
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.evaluation.online import LEVELS, Score
+from jaxftc.scenarios.contact import Contact
 from jaxftc.scenarios.faults import Actuator, Fault, Kind, Sensor
 from jaxftc.scenarios.scenario import Scenario
-from jaxftc.types import LABELS, Verdict
+from jaxftc.types import KINDS, Verdict
 
 CROSSINGS = tuple(f"delay_at_{level:.3f}_s" for level in LEVELS)  # delays with all thresholds times LEVELS
 
@@ -26,10 +27,11 @@ def _names(kinds: type[Kind]) -> np.ndarray:
 def _faults() -> np.ndarray:
     """Names [kind, actuator fault, encoder fault], such as ``both bias + drift``."""
     tau, q = _names(Actuator), _names(Sensor)
-    return np.array([[[f"{v} {' + '.join(filter(None, (a, b)))}".strip() for b in q] for a in tau] for v in LABELS])
+    return np.array([[[f"{v} {' + '.join(filter(None, (a, b)))}".strip() for b in q] for a in tau] for v in KINDS])
 
 
 FAULTS = _faults()
+NAMES = np.array([Verdict(k).label for k in range(2 * Verdict.CONTACT)])  # of verdicts
 
 
 def columns(config: Config, scenarios: Scenario, score: Score) -> dict[str, np.ndarray]:
@@ -49,30 +51,37 @@ class _Drawn:
     def __init__(self, config: Config, scenarios: Scenario) -> None:
         self.id = np.asarray(scenarios.id, np.int64)
         self.tau, self.q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
+        self.contact = _Contact(config, scenarios.contact)
         # [n, scenarios], the verdict that is right
-        self.wanted = Verdict.ACTUATOR * self.tau.faulty | Verdict.SENSOR * self.q.faulty
+        self.wanted = Verdict.ACTUATOR * self.tau.faulty | Verdict.SENSOR * self.q.faulty | self.contact.wanted
         self.healthy = ~(self.wanted > 0).any(0)  # [scenarios]
-        self.clear = np.maximum(self.tau.last, self.q.last)  # [scenarios] s, last clearance
+        self.clear = np.maximum(np.maximum(self.tau.last, self.q.last), self.contact.last)  # [scenarios] s, last clearance
 
     def columns(self) -> dict[str, np.ndarray]:
         """Faults by name, joint, size and time."""
-        tau, q, healthy = self.tau, self.q, self.healthy
-        kind, has_tau = _either(self.wanted), tau.faulty.any(0)
+        tau, q, contact, healthy = self.tau, self.q, self.contact, self.healthy
+        wanted, has_tau, pushed = _either(self.wanted), tau.faulty.any(0), contact.wanted.any(0)
+        kind = np.where(pushed, KINDS.index("contact"), wanted & Verdict.BOTH)
+
+        def own(of_tau: Any, of_contact: Any, of_q: Any) -> np.ndarray:
+            return np.where(has_tau, of_tau, np.where(pushed, of_contact, of_q))
+
         return {
             "scenario_id": self.id,
-            "kind": np.asarray(LABELS)[kind],
+            "kind": np.asarray(KINDS)[kind],
             "fault": FAULTS[kind, tau.code, q.code],
             "fault_tau": tau.name,
             "fault_q": q.name,
-            "law": np.where(healthy, "", np.where(has_tau, tau.law, q.law)),
+            "law": np.where(healthy, "", own(tau.law, contact.law, q.law)),
             "joint_tau": tau.joint,
             "joint_q": q.joint,
             "magnitude_tau": tau.magnitude,
             "magnitude_q": q.magnitude,
-            "magnitude": np.where(has_tau, tau.magnitude, q.magnitude),
-            "unit": np.where(has_tau, tau.unit, q.unit),
-            "onset_s": np.where(healthy, np.nan, np.minimum(tau.onset, q.onset)),
+            "magnitude": own(tau.magnitude, contact.force, q.magnitude),
+            "unit": own(tau.unit, "N", q.unit),
+            "onset_s": np.where(healthy, np.nan, np.minimum(np.minimum(tau.onset, q.onset), contact.onset)),
             "clear_s": np.where(healthy, np.nan, self.clear),
+            "link": contact.link,
         }
 
 
@@ -92,13 +101,15 @@ def _diagnosis(config: Config, drawn: _Drawn, score: Score) -> dict[str, np.ndar
         "delay_s": since(score.alarm_at),
         "isolated_s": since(score.isolated_at),
         "recovery_s": np.where(goes, recovery, np.nan),
-        "kind_hat": np.asarray(LABELS)[_either(verdict)],
+        "kind_hat": NAMES[_either(verdict)],
         "joint_hat": _first(verdict > 0),
         "joint_tau_hat": _first(verdict & Verdict.ACTUATOR > 0),
         "joint_q_hat": _first(verdict & Verdict.SENSOR > 0),
+        "link_hat": (verdict & Verdict.CONTACT > 0).sum(0),
+        "force_hat_n": np.where(healthy, np.nan, _double(score.force)),
         **_right("right", verdict, wanted),
         **_right("visible", np.asarray(score.visible), wanted),
-        "kind_hat_settled": np.asarray(LABELS)[_either(settled)],
+        "kind_hat_settled": NAMES[_either(settled)],
         **_right("right_settled", settled, wanted),
         **_right("visible_settled", np.asarray(score.visible_late), wanted),
         "complete_s": since(score.complete_at),
@@ -165,9 +176,30 @@ def _right(name: str, verdict: np.ndarray, wanted: np.ndarray) -> dict[str, np.n
     return {f"{part}_{name}": right for part, right in (found | {"verdict": (verdict == wanted).all(0)}).items()}
 
 
+def _law(rise: Any, period: Any) -> np.ndarray:
+    """How faults come and go, by name."""
+    slow, coming = np.asarray(rise) > 0, np.isfinite(np.asarray(period))
+    return np.select([slow, coming], ["incipient", "intermittent"], "abrupt")
+
+
 def _first(where: np.ndarray) -> np.ndarray:
     """Number of the first joint [scenarios] that is there [n, scenarios], from 1; 0 if there is none."""
     return np.where(where.any(0), where.argmax(0) + 1, 0)
+
+
+class _Contact:
+    """The force on each scenario's arm, as drawn, as columns."""
+
+    def __init__(self, config: Config, contact: Contact) -> None:
+        onset, size = np.asarray(contact.onset), _double(contact.size)
+        begins = onset <= np.asarray((config.ticks - 1) * config.dt, onset.dtype)  # as in online.truth
+        there = begins & (size > 0)
+        self.link = np.where(there, np.asarray(contact.link, np.int64), 0)
+        self.wanted = Verdict.CONTACT * (np.arange(1, config.n + 1)[:, None] <= self.link)  # [n, scenarios]
+        self.force = np.where(there, size, np.nan)
+        self.law = _law(contact.rise, contact.period)
+        self.onset = np.where(there, _double(onset), np.inf)
+        self.last = np.where(there, _double(contact.clear), -np.inf)
 
 
 class _Channel:
@@ -189,6 +221,6 @@ class _Channel:
         size = np.where(np.char.startswith(self.unit, "deg"), np.rad2deg(size), size)
         self.magnitude = np.where(self.unit == "", np.nan, size)
         self.joint = _first(self.faulty)
-        self.law = np.select([own(fault.rise) > 0, np.isfinite(own(fault.period))], ["incipient", "intermittent"], "abrupt")
+        self.law = _law(own(fault.rise), own(fault.period))
         self.onset = np.where(self.faulty, _double(fault.onset).T, np.inf).min(0)
         self.last = np.where(self.faulty, _double(fault.clear).T, -np.inf).max(0)

@@ -48,7 +48,7 @@ def header(tick: Tick) -> str:
     lines += [
         f"typedef {tick.real} ftc_real;",
         "",
-        "enum { FTC_NORMAL, FTC_ACTUATOR, FTC_SENSOR, FTC_BOTH }; /* verdicts */",
+        "enum { FTC_NORMAL, FTC_ACTUATOR, FTC_SENSOR, FTC_BOTH, FTC_CONTACT = 8 }; /* verdicts */",
         "",
         f"#define FTC_JOINTS {tick.config.n}",
         f"#define FTC_SAMPLE_TIME {c99.literal(np.float64(facts['dt']))} /* s */",

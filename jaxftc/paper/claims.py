@@ -102,7 +102,7 @@ def _healthy(trace: dict[str, np.ndarray]) -> Claim:
 
 def _detected(config: Config, condition: str, trace: dict[str, np.ndarray]) -> Claim:
     """Verdicts of T-S with AFESMC, joint by joint, and no alarm where there is no fault."""
-    wanted, present = metrics.truth(trace["fault_tau"], trace["fault_q"])
+    wanted, present = metrics.truth(trace)
     found = metrics.detection(config, trace["verdict"], wanted, present)
     right = int((found.verdict == wanted).sum())
     alarm = (

@@ -16,6 +16,7 @@ from jaxftc.realtime.reaction import State as Reacted
 from jaxftc.types import Verdict
 
 AT_LIMIT = 1 - 1e-6  # of the torque limit: the command is rounded
+MAY_TRIP = (Verdict.ACTUATOR, Verdict.SENSOR, Verdict.BOTH, Verdict.CONTACT)
 ENOUGH = 1 - 1e-9  # of a time: times add up with rounding
 
 
@@ -53,9 +54,9 @@ class Trips:
         checks.positive("trips.window", self.window, "seconds")
         for name in ("no_reading", "saturated"):
             checks.span(f"trips.{name}", getattr(self, name))
-        wrong = [v for v in self.verdicts if not (isinstance(v, numbers.Integral) and v in (1, 2, 3))]
+        wrong = [v for v in self.verdicts if not (isinstance(v, numbers.Integral) and v in MAY_TRIP)]
         if wrong:
-            raise ValueError(f"trips.verdicts must be of Verdict.ACTUATOR, SENSOR and BOTH, got {wrong[0]!r}")
+            raise ValueError(f"trips.verdicts must be of Verdict.ACTUATOR, SENSOR, BOTH and CONTACT, got {wrong[0]!r}")
 
 
 class Watch:
@@ -101,7 +102,11 @@ class Watch:
         hit = np.flatnonzero(np.isin(reacted.verdict, self._trips.verdicts))
         if not len(hit):
             return None
-        return Trip("verdict", f"{Verdict(reacted.verdict[hit[0]]).label} fault of {self._robot.joint_names[hit[0]]}")
+        verdict, names = Verdict(reacted.verdict[hit[0]]), self._robot.joint_names
+        if verdict == Verdict.CONTACT:
+            link = np.flatnonzero(reacted.verdict == Verdict.CONTACT)[-1]
+            return Trip("verdict", f"contact on the link of {names[link]}")
+        return Trip("verdict", f"{verdict.label} fault of {names[hit[0]]}")
 
     def _longest(self, times: np.ndarray) -> str:
         j = int(times.argmax())

@@ -20,7 +20,7 @@ from jaxftc.evaluation.verdicts import show
 from jaxftc.report.figures import COLOURS, DASHES, LOGARITHMIC, finish, residual_figure
 from jaxftc.report.page import embed, page, table
 from jaxftc.simulation.closed_loop import Trace
-from jaxftc.types import LABELS
+from jaxftc.types import KINDS
 
 
 def campaign(
@@ -85,8 +85,8 @@ def confusion(result: dict[str, Any]) -> go.Figure:
     figure = go.Figure(
         go.Heatmap(
             z=shares,
-            x=LABELS,
-            y=LABELS,
+            x=KINDS[: len(counts)],
+            y=KINDS[: len(counts)],
             text=text,
             texttemplate="%{text}",
             colorscale="Blues",

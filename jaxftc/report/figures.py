@@ -14,7 +14,7 @@ from jaxftc.config import Config
 from jaxftc.control.fuzzy_gain import surface
 from jaxftc.gains import Gains
 from jaxftc.report.page import embed, page
-from jaxftc.types import LABELS
+from jaxftc.types import KINDS, LABELS, Verdict
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")  # told apart by colour-blind readers
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -110,7 +110,7 @@ def shade(figure: go.Figure, trace: dict[str, np.ndarray]) -> go.Figure:
 
 def windows(trace: dict[str, np.ndarray]) -> Iterator[tuple[float, float]]:
     """Start and end, s, of each time at which a fault is there."""
-    there = (np.abs(trace["fault_tau"]) > 0).any(1) | (np.abs(trace["fault_q"]) > 0).any(1)
+    there = np.any([(np.abs(trace[name]) > 0).any(1) for name in ("fault_tau", "fault_q", "contact_tau")], axis=0)
     edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(int)))
     for start, end in edges.reshape(-1, 2):
         yield float(trace["t"][start]), float(trace["t"][end - 1])
@@ -138,9 +138,12 @@ def residual_figure(config: Config, trace: dict[str, np.ndarray], title: str, sh
         "S, encoder residual, deg", {"": (np.rad2deg(trace["statistic_q"]), {})}, np.rad2deg(trace["threshold_q"][0])
     )
     apart = 0.08 * (np.arange(config.n) - (config.n - 1) / 2)  # joints that say the same are drawn beside each other
-    verdict = Panel("verdict", {"": (trace["verdict"] + apart, {"shape": "hv"})})
+    contact = trace["verdict"] & Verdict.CONTACT > 0
+    level = np.where(contact, KINDS.index("contact"), trace["verdict"])
+    verdict = Panel("verdict", {"": (level + apart, {"shape": "hv"})})
+    words = KINDS if contact.any() else LABELS
     figure = shade(together(trace["t"], [torque, angle, verdict], config.robot.joint_names), trace)
-    figure.update_yaxes(tickvals=[0, 1, 2, 3], ticktext=LABELS, range=[-0.4, 3.4], row=3, col=1)
+    figure.update_yaxes(tickvals=[*range(len(words))], ticktext=words, range=[-0.4, len(words) - 0.6], row=3, col=1)
     meta = {"together": True} if shown is None else {"first": shown}
     return finish(
         figure,

@@ -18,10 +18,8 @@ from jaxftc.robot.lanes import Lane, add, dot, minus, mul, trailing_constant
 from jaxftc.robot.link import Link
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
+from jaxftc.robot.vectors import ZERO, Vector, constant, cross, plus, times
 from jaxftc.types import Array
-
-Vector = tuple[Lane, Lane, Lane]
-ZERO: Vector = (0.0, 0.0, 0.0)
 
 
 class Inertia(NamedTuple):
@@ -35,37 +33,21 @@ class Inertia(NamedTuple):
 _EMPTY = Inertia(0.0, ZERO, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
-def _add(*vectors: Vector) -> Vector:
-    return tuple(add(*parts) for parts in zip(*vectors, strict=True))  # pyright: ignore[reportReturnType]
-
-
-def _scale(s: Lane, v: Vector) -> Vector:
-    return (mul(s, v[0]), mul(s, v[1]), mul(s, v[2]))
-
-
-def _cross(u: Vector, v: Vector) -> Vector:
-    return tuple(minus(mul(u[i], v[j]), mul(u[j], v[i])) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
-
-
 def _symmetric(tensor: Sequence[Lane], v: Vector) -> Vector:
     xx, yy, zz, xy, xz, yz = tensor
     return (dot((xx, xy, xz), v), dot((xy, yy, yz), v), dot((xz, yz, zz), v))
 
 
-def _constant(values: np.ndarray) -> Any:
-    return tuple(float(v) for v in values)
-
-
 def link_inertia(link: Link, scale: Lane = 1.0) -> Inertia:
     """Spatial inertia of a link, its mass and tensor scaled together (a denser link, same shape)."""
     tensor = link.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
-    parts = [mul(scale, v) for v in (link.mass, *_constant(link.moment), *_constant(tensor))]
+    parts = [mul(scale, v) for v in (link.mass, *constant(link.moment), *constant(tensor))]
     return Inertia(parts[0], tuple(parts[1:4]), tuple(parts[4:]))  # pyright: ignore[reportArgumentType]
 
 
 def _join(a: Inertia, b: Inertia) -> Inertia:
     tensor = tuple(add(u, v) for u, v in zip(a.tensor, b.tensor, strict=True))
-    return Inertia(add(a.mass, b.mass), _add(a.moment, b.moment), tensor)  # pyright: ignore[reportArgumentType]
+    return Inertia(add(a.mass, b.mass), plus(a.moment, b.moment), tensor)  # pyright: ignore[reportArgumentType]
 
 
 def nominal_inertias(robot: Robot) -> list[Inertia]:
@@ -127,11 +109,11 @@ def _unturn(at: Pose, i: int, v: Vector) -> Vector:
 
 def _to_parent(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:
     turned = _turn(at, i, v)
-    return tuple(dot(_constant(row), turned) for row in robot.links[i].rotation)  # pyright: ignore[reportReturnType]
+    return tuple(dot(constant(row), turned) for row in robot.links[i].rotation)  # pyright: ignore[reportReturnType]
 
 
 def _to_child(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:
-    aligned = tuple(dot(_constant(column), v) for column in robot.links[i].rotation.T)
+    aligned = tuple(dot(constant(column), v) for column in robot.links[i].rotation.T)
     return _unturn(at, i, aligned)  # pyright: ignore[reportArgumentType]
 
 
@@ -149,29 +131,29 @@ def newton_euler(
     ``qd`` or ``qdd`` of None stand for zero and cost nothing; M(q) qdd is ``qd=None, gravity=False``.
     """
     at = Pose(lanes(at.cos), lanes(at.sin))
-    speed, spin, lift = ZERO, ZERO, (_constant(-robot.gravity) if gravity else ZERO)
+    speed, spin, lift = ZERO, ZERO, (constant(-robot.gravity) if gravity else ZERO)
     forces: list[Vector] = []
     moments: list[Vector] = []
     for i, body in enumerate(inertias):
-        offset = _constant(robot.links[i].offset)
-        lift = _add(lift, _cross(spin, offset), _cross(speed, _cross(speed, offset)))
+        offset = constant(robot.links[i].offset)
+        lift = plus(lift, cross(spin, offset), cross(speed, cross(speed, offset)))
         speed, spin, lift = (_to_child(robot, at, i, v) for v in (speed, spin, lift))
         if qd is not None:
-            spin = _add(spin, (mul(speed[1], qd[i]), -mul(speed[0], qd[i]), 0.0))
-            speed = _add(speed, (0.0, 0.0, qd[i]))
+            spin = plus(spin, (mul(speed[1], qd[i]), -mul(speed[0], qd[i]), 0.0))
+            speed = plus(speed, (0.0, 0.0, qd[i]))
         if qdd is not None:
-            spin = _add(spin, (0.0, 0.0, qdd[i]))
-        swing = _cross(speed, _cross(speed, body.moment))
-        forces.append(_add(_scale(body.mass, lift), _cross(spin, body.moment), swing))
-        gyro = _cross(speed, _symmetric(body.tensor, speed))
-        moments.append(_add(_symmetric(body.tensor, spin), gyro, _cross(body.moment, lift)))
+            spin = plus(spin, (0.0, 0.0, qdd[i]))
+        swing = cross(speed, cross(speed, body.moment))
+        forces.append(plus(times(body.mass, lift), cross(spin, body.moment), swing))
+        gyro = cross(speed, _symmetric(body.tensor, speed))
+        moments.append(plus(_symmetric(body.tensor, spin), gyro, cross(body.moment, lift)))
     force, moment = ZERO, ZERO
     torques: list[Lane] = []
     for i in reversed(range(robot.n)):
-        force, moment = _add(forces[i], force), _add(moments[i], moment)
+        force, moment = plus(forces[i], force), plus(moments[i], moment)
         torques.append(moment[2])
         force, moment = _to_parent(robot, at, i, force), _to_parent(robot, at, i, moment)
-        moment = _add(moment, _cross(_constant(robot.links[i].offset), force))
+        moment = plus(moment, cross(constant(robot.links[i].offset), force))
     return torques[::-1]
 
 
@@ -187,7 +169,7 @@ def mass_matrix(robot: Robot, inertias: list[Inertia], at: Pose) -> MassMatrix:
         matrix[i][i] = moment[2]
         for j in range(i, 0, -1):
             force, moment = _to_parent(robot, at, j, force), _to_parent(robot, at, j, moment)
-            moment = _add(moment, _cross(_constant(robot.links[j].offset), force))
+            moment = plus(moment, cross(constant(robot.links[j].offset), force))
             matrix[i][j - 1] = matrix[j - 1][i] = moment[2]
         if i:
             composite = _inertia_to_parent(robot, at, i, composite)
@@ -200,7 +182,7 @@ def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia
     columns = [_to_parent(robot, at, i, v) for v in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))]
     rows = [_to_parent(robot, at, i, (columns[0][k], columns[1][k], columns[2][k])) for k in range(3)]
     moment = _to_parent(robot, at, i, body.moment)
-    p = _constant(robot.links[i].offset)
+    p = constant(robot.links[i].offset)
     far = add(mul(2.0, dot(moment, p)), mul(float(np.dot(p, p)), body.mass))
 
     def entry(a: int, b: int) -> Lane:
@@ -208,4 +190,4 @@ def _inertia_to_parent(robot: Robot, at: Pose, i: int, body: Inertia) -> Inertia
         return minus(add(rows[a][b], far if a == b else 0.0), shift)
 
     tensor = tuple(entry(a, b) for a, b in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-    return Inertia(body.mass, _add(moment, _scale(body.mass, p)), tensor)  # pyright: ignore[reportArgumentType]
+    return Inertia(body.mass, plus(moment, times(body.mass, p)), tensor)  # pyright: ignore[reportArgumentType]

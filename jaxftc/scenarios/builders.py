@@ -104,7 +104,7 @@ def with_torque_ripple(scenario: S, joint: int, torque: ArrayLike, onset: ArrayL
 @_explained("torque: Dry friction that is added, N m; with ``rise`` it grows.")
 def with_joint_friction(scenario: S, joint: int, torque: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The joint moves harder."""
-    _require("torque", torque, 0.0, math.inf)
+    require_range("torque", torque, 0.0, math.inf)
     return _with(scenario, "fault_tau", Actuator.FRICTION, joint, torque, onset, law)
 
 
@@ -155,7 +155,7 @@ def with_encoder_scale(scenario: S, joint: int, share: ArrayLike, onset: ArrayLi
 @_explained("factor: On the encoder's noise, 1.")
 def with_encoder_noise(scenario: S, joint: int, factor: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The encoder's noise is larger."""
-    _require("factor", factor, 0.0, math.inf)
+    require_range("factor", factor, 0.0, math.inf)
     return _with(scenario, "fault_q", Sensor.NOISE, joint, factor, onset, law)
 
 
@@ -174,14 +174,14 @@ def with_encoder_dropout(scenario: S, joint: int, onset: ArrayLike, **law: Unpac
 @_explained("angle: Size of a count, rad.")
 def with_encoder_rounding(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The reading comes in coarse counts."""
-    _require("angle", angle, 0.0, math.inf)
+    require_range("angle", angle, 0.0, math.inf)
     return _with(scenario, "fault_q", Sensor.ROUNDING, joint, angle, onset, law)
 
 
 @_explained("angle: Largest reading, rad; beyond it the reading begins anew at its negative.")
 def with_encoder_wrap(scenario: S, joint: int, angle: ArrayLike, onset: ArrayLike, **law: Unpack[Law]) -> S:
     """The reading wraps around."""
-    _require("angle", angle, 0.0, math.inf, "be positive", above=True)
+    require_range("angle", angle, 0.0, math.inf, "be positive", above=True)
     return _with(scenario, "fault_q", Sensor.WRAP, joint, angle, onset, law)
 
 
@@ -215,19 +215,24 @@ def _with(
     checks.integer("joint", joint, 1, f"joints count from 1 to {shape[-1]}")
     if joint > shape[-1]:
         raise ValueError(f"joint must be 1 to {shape[-1]}, got {joint}")
+    checks.finite("magnitude", magnitude, "it is the size of the fault in the kind's unit")
+    values = Fault(jnp.int32(kind), magnitude, **times_of(onset, law))  # pyright: ignore[reportArgumentType]
+    leaves = zip(Fault._fields, getattr(scenario, channel), values, strict=True)
+    return scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
+
+
+def times_of(onset: ArrayLike, law: Law) -> dict[str, Any]:
+    """Onset, clearance, rise, period and duty, checked."""
     for name in law:
         checks.one_of("the law of a fault", name, tuple(Law.__annotations__))
-    times: dict[str, Any] = {"clear": math.inf, "rise": 0.0, "period": math.inf, "duty": 1.0, **law}
-    checks.finite("magnitude", magnitude, "it is the size of the fault in the kind's unit")
+    times: dict[str, Any] = {"onset": onset, "clear": math.inf, "rise": 0.0, "period": math.inf, "duty": 1.0, **law}
     checks.finite("onset", onset, "it is when the fault comes, in s")
     checks.finite("rise", times["rise"], "it is how long the fault grows, in s")
     for name, low, high in (("onset", 0.0, math.inf), ("rise", 0.0, math.inf), ("duty", 0.0, 1.0)):
-        _require(name, onset if name == "onset" else times[name], low, high)
-    _require("clear", times["clear"], onset, math.inf, "be later than the onset", above=True)
-    _require("period", times["period"], 0.0, math.inf, "be positive", above=True)
-    values = Fault(jnp.int32(kind), magnitude, onset, **times)  # pyright: ignore[reportArgumentType]
-    leaves = zip(Fault._fields, getattr(scenario, channel), values, strict=True)
-    return scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
+        require_range(name, times[name], low, high)
+    require_range("clear", times["clear"], onset, math.inf, "be later than the onset", above=True)
+    require_range("period", times["period"], 0.0, math.inf, "be positive", above=True)
+    return times
 
 
 def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[int, ...]) -> Array:
@@ -239,16 +244,16 @@ def _set(name: str, leaf: ArrayLike, joint: int, value: ArrayLike, axes: tuple[i
 
 
 def _ticks(value: ArrayLike) -> ArrayLike:
-    _require("ticks", value, 0.0, LATEST)
+    require_range("ticks", value, 0.0, LATEST)
     return value
 
 
 def _share(value: ArrayLike) -> ArrayLike:
-    _require("share", value, 0.0, 1.0)
+    require_range("share", value, 0.0, 1.0)
     return value
 
 
-def _require(
+def require_range(
     name: str, value: ArrayLike, low: ArrayLike, high: float, rule: str | None = None, *, above: bool = False
 ) -> None:
     """Refuse a value outside low..high, with ``above`` also low itself; values under a trace are not looked at."""

@@ -13,10 +13,11 @@ from typing import Annotated
 
 from pydantic import Strict
 
+from jaxftc.scenarios.contact import ContactLaw
 from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
 from jaxftc.scenarios.faults import ActuatorFaults, AngleBias, SensorFaults, TorqueBias, kinds
 from jaxftc.scenarios.preset_error import PresetError, is_integer
-from jaxftc.scenarios.scenario import CONDITIONS, ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
+from jaxftc.scenarios.scenario import ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
 
 MOST_JOINTS = 1000  # no arm has as many
 Whole = Annotated[int, Strict()]
@@ -30,9 +31,10 @@ class Shares(Table):
     actuator: Real = 0.0
     sensor: Real = 0.0
     both: Real = 0.0
+    contact: Real = 0.0
 
     def __post_init__(self) -> None:
-        shares = {name: getattr(self, name) for name in CONDITIONS}
+        shares = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         for name, share in shares.items():
             require_number(name, share, 0.0, 1.0)
         total = math.fsum(shares.values())
@@ -176,6 +178,7 @@ class Preset(Table):
     encoder: Encoder = Encoder()
     joints: Joints = Joints()
     plant: PlantLaws = PlantLaws()
+    contact: ContactLaw | None = None
 
     def __post_init__(self) -> None:
         tables = {"shares": Shares, "motion": Motion, "times": Times, "actuator": ActuatorFaults, "sensor": SensorFaults}
@@ -189,6 +192,8 @@ class Preset(Table):
                 raise PresetError(
                     name, f"no kind of fault, but {share:g} of all scenarios have one; add a table [{name}.bias]"
                 )
+        if self.contact is None and shares.contact > 0:
+            raise PresetError("contact", f"missing, but {shares.contact:g} of all scenarios have one; add a table [contact]")
 
 
 PAPER_ACTUATOR = ActuatorFaults(bias=TorqueBias(size=PAPER_TORQUE, unit="N m"))

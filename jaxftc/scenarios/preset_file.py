@@ -36,8 +36,8 @@ def load_preset(preset: str | Path | Preset) -> Preset:
     Equal files give equal presets, also in their hash, so that nothing compiles twice.
 
     Args:
-        preset: ``paper``, ``standard``, ``hard``, ``doubles`` or ``uncommon``; the path of a file, a text that
-            ends in .toml; or a preset, which comes back as it is.
+        preset: ``paper``, ``standard``, ``hard``, ``doubles``, ``uncommon`` or ``contact``; the path of a file, a
+            text that ends in .toml; or a preset, which comes back as it is.
 
     Returns:
         The laws that scenarios are drawn from.

@@ -21,6 +21,8 @@ from jaxftc import checks
 from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant
+from jaxftc.scenarios import contact
+from jaxftc.scenarios.contact import Contact, no_contact
 from jaxftc.scenarios.distributions import Law, scaled
 from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, kinds
 from jaxftc.scenarios.preset import Paper, Preset, Times
@@ -31,6 +33,7 @@ from jaxftc.scenarios.uniforms import DEALT, UniformStream
 from jaxftc.types import Array
 
 DEG = math.radians(1.0)  # rad
+CONTACT = 300  # number of the stream that contacts are dealt from; kinds of fault have those below
 
 
 def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard", *, config: Config) -> Scenario:
@@ -78,6 +81,9 @@ def check_arm(preset: Preset, config: Config, name: str) -> None:
     allowed = preset.joints.allowed
     if allowed is not None and max(allowed) > config.n:
         raise ValueError(f"{name}: joints.allowed: {config.robot.name!r} has joints 1 to {config.n}, got {list(allowed)}")
+    links = None if preset.contact is None else preset.contact.links
+    if links is not None and max(links) > config.n:
+        raise ValueError(f"{name}: contact.links: {config.robot.name!r} has links 1 to {config.n}, got {list(links)}")
     if isinstance(preset, Paper) or preset.shares.actuator + preset.shares.both == 0:
         return
     bias = preset.actuator.bias
@@ -127,8 +133,9 @@ def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scen
         q_goal=q_goal,
         noise=noise,
         fault_tau=_fault(torque, tau_joints & ((condition == 1) | (condition == 3)), law),
-        fault_q=_fault(angle, q_joints & (condition >= 2), law),
+        fault_q=_fault(angle, q_joints & ((condition == 2) | (condition == 3)), law),
         plant=Plant(mass, payload, armature, damping, coulomb, torque_constant),
+        contact=_contact(preset, n, stream, condition == 4, law),
     )
 
 
@@ -139,10 +146,11 @@ def _allowed(preset: Preset, config: Config) -> list[int]:
 
 
 def _bounds(preset: Preset) -> Array:
-    """Upper ends [3] of healthy, actuator and sensor on 0..1."""
+    """Upper ends [4] of healthy, actuator, sensor and both on 0..1."""
     shares = list(dataclasses.astuple(preset.shares))
-    nothing_after = np.array([not any(shares[k + 1 :]) for k in range(3)])
-    return jnp.where(nothing_after, 1.0, jnp.cumsum(jnp.asarray(shares[:3])))  # a sum can end just below 1
+    nothing_after = np.array([not any(shares[k + 1 :]) for k in range(4)])
+    ends = jnp.append(jnp.cumsum(jnp.asarray(shares[:3])), 1 - shares[4])
+    return jnp.where(nothing_after, 1.0, ends)  # a sum can end just below 1
 
 
 def _channel(faults: ActuatorFaults | SensorFaults, codes: type[Kind], stream: UniformStream, limit: np.ndarray) -> Array:
@@ -179,6 +187,14 @@ def _times(times: Times, stream: UniformStream) -> dict[str, Array]:
         "period": jnp.where(comes_and_goes, period, jnp.inf),
         "duty": jnp.where(comes_and_goes, duty, 1.0),
     }
+
+
+def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: dict[str, Array]) -> Contact:
+    """The drawn contact where it is ``there``, from numbers of its own."""
+    if preset.contact is None:
+        return no_contact()
+    links = preset.contact.links or range(1, n + 1)
+    return contact.draw(preset.contact, stream.apart(CONTACT, 8), list(links), there, law)
 
 
 def _fault(drawn: Array, joints: Array, law: dict[str, Array]) -> Fault:

@@ -19,6 +19,8 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant, nominal_plant
 from jaxftc.scenarios import builders
+from jaxftc.scenarios import contact as contacts
+from jaxftc.scenarios.contact import Contact, no_contact
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
 from jaxftc.scenarios.reference import PAPER_GOAL, PAPER_START, within_range
 from jaxftc.types import Array
@@ -40,6 +42,7 @@ class Scenario(NamedTuple):
         fault_tau: Faults of the actuators.
         fault_q: Faults of the encoders.
         plant: How the arm differs from its model.
+        contact: A force on a link.
     """
 
     id: Array
@@ -49,7 +52,9 @@ class Scenario(NamedTuple):
     fault_tau: Fault
     fault_q: Fault
     plant: Plant
+    contact: Contact
 
+    with_contact = contacts.with_contact
     with_actuator_bias = builders.with_actuator_bias
     with_actuator_loss = builders.with_actuator_loss
     with_actuator_saturation = builders.with_actuator_saturation
@@ -110,6 +115,7 @@ def healthy_scenario(
         fault_tau=no_fault(config.n),
         fault_q=no_fault(config.n),
         plant=nominal_plant(config.robot),
+        contact=no_contact(),
     )
 
 

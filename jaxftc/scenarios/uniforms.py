@@ -47,7 +47,11 @@ class UniformStream:
         """
         if kind <= DEALT[type(kind)]:
             return self
-        return UniformStream(jax.random.fold_in(self._key, 100 * (type(kind) is Sensor) + kind), 1)
+        return self.apart(100 * (type(kind) is Sensor) + kind, 1)
+
+    def apart(self, number: int, count: int) -> UniformStream:
+        """Another stream of ``count`` numbers, which takes none of this one's."""
+        return UniformStream(jax.random.fold_in(self._key, number), count)
 
     def side(self) -> Array:
         """Either -1 or 1."""

@@ -14,7 +14,7 @@ from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.control import fuzzy_gain, last_command, sliding_mode
 from jaxftc.control.last_command import LastCommand
-from jaxftc.diagnosis import decision, residuals, sensor_check, statistics, threshold
+from jaxftc.diagnosis import contact, decision, residuals, sensor_check, statistics, threshold
 from jaxftc.gains import NAMES, Gains
 from jaxftc.numerics import smooth
 from jaxftc.observer import adaptation, cascade, super_twisting, takagi_sugeno
@@ -119,8 +119,9 @@ def step(
     statistic = _trusted(statistic, learned)
     inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
+    judged = contact.judge(config, contact.Inputs(at, statistic.tau, level, said.verdict))
     state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
-    return state, _report(config, gains, seen, residual, statistic, level, said, law, command)
+    return state, _report(config, gains, seen, residual, statistic, level, said, judged, law, command)
 
 
 @box("What the last command did, Eqs. (2), (3)")
@@ -218,6 +219,7 @@ def _report(
     statistic: statistics.Statistics,
     threshold_tau: Array,
     said: decision.Decision,
+    judged: contact.Found,
     law: sliding_mode.Command,
     command: LastCommand,
 ) -> Output:
@@ -233,11 +235,12 @@ def _report(
         statistic_q=statistic.q,
         threshold_tau=threshold_tau,
         threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
-        verdict=said.verdict,
-        detected=(said.verdict > 0).any(0),
+        verdict=judged.verdict,
+        detected=(judged.verdict > 0).any(0),
         suspect=said.sensors.suspect,
         q_hat=seen.q_hat,
         qd_hat=law.qd_hat,
         s=law.s,
         alpha_online=law.alpha_online,
+        force=judged.force,
     )

@@ -26,10 +26,11 @@ import numpy as np
 
 from jaxftc import checks
 from jaxftc.config import Config
-from jaxftc.diagnosis import alarm, decision, statistics, threshold
+from jaxftc.diagnosis import alarm, contact, decision, statistics, threshold
 from jaxftc.gains import Gains, align
 from jaxftc.gains import check as check_gains
 from jaxftc.observer import kinematic, stability
+from jaxftc.robot import rigid_body
 from jaxftc.robot.model import Robot
 from jaxftc.schemes import momentum
 from jaxftc.types import Array
@@ -75,6 +76,7 @@ class Diagnosis(NamedTuple):
     jump: Array  # [n, ...] rad, what no acceleration explains of the reading
     q_hat: Array  # [n, ...] rad, reading less its estimated fault
     qd_hat: Array  # [n, ...] rad/s
+    force: Array  # [n, ...] N, size of a force on the link that the joint moves, where that is found, else 0
 
 
 class Measurement(NamedTuple):
@@ -118,7 +120,9 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         level = threshold.torque(gains.diagnosis, motion)
     alarms_next, alarms = alarm.step(config, gains, state.alarm, alarm.Inputs(statistic, level))
     lost = ~(jnp.isfinite(statistic.tau) & jnp.isfinite(statistic.q))  # cannot be judged, which is not normal
-    verdict = decision.verdict(alarms.tau | lost, alarms.q | seen.wrong | lost)
+    bits = decision.verdict(alarms.tau | lost, alarms.q | seen.wrong | lost)
+    pose = rigid_body.pose(config.robot, seen.q_hat)
+    verdict, force = contact.judge(config, contact.Inputs(pose, statistic.tau, level, bits))
     said = Diagnosis(
         verdict=verdict,
         detected=(verdict > 0).any(0),
@@ -132,6 +136,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         jump=seen.w,
         q_hat=seen.q_hat,
         qd_hat=seen.qd_hat,
+        force=force,
     )
     return State(tracker, residual, measurement.tau, offset, carried, slow, age, means, motion, alarms_next), said
 
@@ -212,7 +217,7 @@ class Diagnoser:
     ``step`` is pure: jit it, scan it, or vmap it over arms (arrays [n, ...], scenarios last).
 
     Args:
-        config: Robot and sample time; nothing else of it counts.
+        config: Robot, sample time, and whether contacts are judged; nothing else of it counts.
         gains: Of ``default_gains`` or ``jaxftc calibrate --logs``.
 
     Raises:

@@ -56,4 +56,5 @@ def output(
         qd_hat=qd,
         s=zero,
         alpha_online=jnp.ones_like(q),
+        force=zero,
     )

@@ -27,7 +27,7 @@ from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
 from jaxftc.scenarios.scenario import Scenario, trail
 from jaxftc.schemes import registry
-from jaxftc.simulation import fault_injection, noise
+from jaxftc.simulation import contact, fault_injection, noise
 from jaxftc.types import Array, Measurement, Output
 
 
@@ -40,10 +40,11 @@ class Trace(NamedTuple):
         qd: [T, n, ...] rad/s, true speed.
         y: [T, n, ...] rad, encoder reading.
         q_ref: [T, n, ...] rad.
-        tau_applied: [T, n, ...] N m, torque that reached the arm.
+        tau_applied: [T, n, ...] N m, torque of the motors that reached the arm.
         fault_tau: [T, n, ...] N m, true actuator fault, at the motor (the plant's torque_constant
             comes after it).
         fault_q: [T, n, ...] rad, true encoder fault.
+        contact_tau: [T, n, ...] N m, true torque of a contact on the joints, J^T F.
         out: What the controller said, time first.
     """
 
@@ -55,6 +56,7 @@ class Trace(NamedTuple):
     tau_applied: Array
     fault_tau: Array
     fault_q: Array
+    contact_tau: Array
     out: Output
 
 
@@ -114,7 +116,7 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
         raise ValueError(f"scenario must be one, or a set with one leading axis, got ids of shape {list(axes)}")
     for path, leaf in jax.tree_util.tree_leaves_with_path(scenario):
         name = "scenario" + jax.tree_util.keystr(path)
-        own = () if name in ("scenario.id", "scenario.noise", "scenario.plant.payload") else (config.n,)
+        own = _OWN.get(name, () if name.startswith("scenario.contact") else (config.n,))
         if leaf.shape != axes + own:
             raise ValueError(f"{name} must have shape {list(axes + own)}, got {list(leaf.shape)}; ids are {list(axes)}")
         allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
@@ -126,12 +128,18 @@ def _positive(x: np.ndarray) -> np.ndarray:
     return (x > 0) & np.isfinite(x)
 
 
+_OWN = {  # shapes of leaves that are neither a number a joint nor one a contact
+    **dict.fromkeys(("scenario.id", "scenario.noise", "scenario.plant.payload"), ()),
+    **dict.fromkeys(("scenario.contact.offset", "scenario.contact.axis"), (3,)),
+}
 _ALLOWED = {  # leaves that may be more or less than any finite number
     "clear": (lambda x: ~np.isnan(x), "be a number, infinite if the fault stays"),
     "period": (lambda x: x > 0, "be positive, infinite if the fault is not intermittent"),
     "duty": (lambda x: (x >= 0) & (x <= 1), "lie in [0, 1]"),
     "kind": (lambda x: (x >= 0) & (x <= max(max(Actuator), max(Sensor))) & (x == np.round(x)), "be an Actuator or a Sensor"),
     "noise": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "link": (lambda x: (x >= 0) & (x == np.round(x)), "be a link's number, from 1, or 0 for none"),
+    "size": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
     "payload": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
     "mass": (_positive, "be positive and finite"),
     "armature": (_positive, "be positive and finite"),
@@ -166,7 +174,9 @@ def advance(
     inertia = lanes.trailing_constant(robot.inertia_diagonal, loop.q)
     motion = fault_injection.Motion(loop.q, loop.qd, inertia, config.dt)
     fault, delivered = fault_injection.deliver(fault_tau, fault, t, out.tau, limit, motion)
-    q, qd = dynamics.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, constant * delivered, config.dt)
+    pushed = contact.torque(robot, scenario.contact, t, loop.q)
+    tau = constant * delivered + pushed
+    q, qd = dynamics.advance(robot, config.engine, scenario.plant, loop.q, loop.qd, tau, config.dt)
     trace = Trace(
         t=t,
         q=loop.q,
@@ -176,6 +186,7 @@ def advance(
         tau_applied=constant * delivered,
         fault_tau=delivered - out.tau,
         fault_q=angle_fault,
+        contact_tau=pushed,
         out=out,
     )
     return Loop(q, qd, out.tau, fault, state), trace

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from jaxftc.types import LABELS, Verdict
+from jaxftc.types import KINDS, Verdict
 from jaxftc.view.replay import HEALTHY, STATES, Replay
 from jaxftc.view.scene import COLOURS, GHOST
 
@@ -22,7 +22,7 @@ class Caption:
         self._size = max(9.0, height / 30)
         self._font, self._large = (ImageFont.load_default(k * self._size) for k in (1.0, 1.5))
         self._names = [name if len(name) <= 10 else name[:9] + "." for name in replay.joints]
-        widths = [max(self._font.getlength(word) for word in words) for words in (self._names, LABELS)]
+        widths = [max(self._font.getlength(word) for word in words) for words in (self._names, KINDS)]
         self._columns = np.cumsum([2.1 * self._size, *(width + self._size for width in widths)]).tolist()  # pixels
 
     def write(self, pixels: np.ndarray, tick: int, off: float) -> Image.Image:

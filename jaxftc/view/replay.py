@@ -25,12 +25,14 @@ class Replay:
     q_ref: np.ndarray  # [T, n] rad
     fault_tau: np.ndarray  # [T, n] N m, true actuator fault
     fault_q: np.ndarray  # [T, n] rad, true encoder fault
+    contact_tau: np.ndarray  # [T, n] N m, true torque of a contact
     verdict: np.ndarray  # [T, n] int, as in ``Verdict``
 
     @property
     def truth(self) -> np.ndarray:
         """The verdict [T, n] that would be right at each tick."""
-        return Verdict.ACTUATOR * (self.fault_tau != 0) | Verdict.SENSOR * (self.fault_q != 0)
+        bears = np.logical_or.accumulate((self.contact_tau != 0)[:, ::-1], axis=1)[:, ::-1]
+        return Verdict.ACTUATOR * (self.fault_tau != 0) | Verdict.SENSOR * (self.fault_q != 0) | Verdict.CONTACT * bears
 
     @property
     def states(self) -> np.ndarray:
@@ -61,7 +63,7 @@ def read(path: Path) -> Replay:
         raise ValueError(f"no trace at {path}; give a folder that `jaxftc simulate` wrote, or its trace.parquet")
     table = tables.read(path)
     joints = tuple(name.removeprefix("q_ref_") for name in table if name.startswith("q_ref_"))
-    signals = ("q", "q_ref", "fault_tau", "fault_q", "verdict")
+    signals = ("q", "q_ref", "fault_tau", "fault_q", "contact_tau", "verdict")
     absent = [name for name in ("t", *(f"{s}_{j}" for s in signals for j in joints)) if name not in table]
     if not joints or absent:
         raise ValueError(f"{path} is no trace of `jaxftc simulate`: it has no column {(absent or ['q_ref_joint1'])[0]!r}")

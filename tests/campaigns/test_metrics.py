@@ -11,7 +11,7 @@ def fault(start, stop, joint=2, ticks=300):
     """(wanted verdict [n], presence [T]) of an actuator fault."""
     tau = np.zeros((ticks, 6))
     tau[start:stop, joint] = 4.0
-    return metrics.truth(tau, np.zeros((ticks, 6)))
+    return metrics.truth({"fault_tau": tau, "fault_q": 0 * tau, "contact_tau": 0 * tau})
 
 
 def test_delay_counts_from_onset_and_earlier_alarms_are_false(config):
@@ -59,10 +59,17 @@ def test_a_miss_is_infinite_and_a_healthy_run_is_right_without_alarm(config):
     assert found[:2] == (None, False) and found.false_alarm_s == pytest.approx(0.003)
 
 
+def test_a_force_is_borne_by_all_joints_before_the_last_that_it_turns():
+    none, pushed = np.zeros((5, 4)), np.zeros((5, 4))
+    pushed[2:, 0], pushed[2:, 2] = 3.0, 1.0
+    wanted, present = metrics.truth({"fault_tau": none, "fault_q": none, "contact_tau": pushed})
+    assert wanted.tolist() == [Verdict.CONTACT] * 3 + [0] and present.tolist() == [False] * 2 + [True] * 3
+
+
 def test_truth_comes_from_what_was_really_there():
     tau, q = np.zeros((5, 4)), np.zeros((5, 4))
     tau[1, 1], tau[2, 3], q[3, 2], q[4, 3] = 1.0, -2.0, 0.1, 0.1
-    wanted, present = metrics.truth(tau, q)
+    wanted, present = metrics.truth({"fault_tau": tau, "fault_q": q, "contact_tau": 0 * tau})
     assert wanted.tolist() == [0, Verdict.ACTUATOR, Verdict.SENSOR, Verdict.BOTH]
     assert present.tolist() == [
         False,
@@ -74,9 +81,8 @@ def test_truth_comes_from_what_was_really_there():
 
 
 def test_a_run_that_diverged_is_refused(config):
-    trace = {
-        name: np.zeros((10, 2)) for name in ("q", "q_ref", "fault_tau", "fault_q", "fault_tau_hat", "fault_q_hat", "tau")
-    }
+    names = ("q", "q_ref", "fault_tau", "fault_q", "contact_tau", "fault_tau_hat", "fault_q_hat", "tau")
+    trace = {name: np.zeros((10, 2)) for name in names}
     trace |= {"verdict": np.zeros((10, 2), int)}
     metrics.evaluate(config, trace)
     trace["q"][7:, 1] = np.nan

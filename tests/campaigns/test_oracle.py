@@ -15,17 +15,18 @@ from tests.arms import two_hinges
 DT, N, TICKS = 1e-3, 3, 100
 
 
-def seen(fault_tau, fault_q, until, until_late, y=None):
+def seen(fault_tau, fault_q, until, until_late, y=None, contact_tau=None, wanted=(0, 0, 0)):
     """What an oracle has seen of one run [TICKS, N], thresholds 2 N m and 0.1 rad."""
+    contact_tau = 0 * fault_tau if contact_tau is None else contact_tau
     level = jnp.ones((N,))
     blank = blank_trace()
     out = blank.out._replace(threshold_tau=2.0 * level, threshold_q=0.1 * level)
     sight = oracle.init(level)
     y = np.zeros((TICKS, N)) if y is None else y
     for k in range(TICKS):
-        signals = {"fault_tau": fault_tau[k], "fault_q": fault_q[k], "y": y[k]}
+        signals = {"fault_tau": fault_tau[k], "fault_q": fault_q[k], "contact_tau": contact_tau[k], "y": y[k]}
         tick = blank._replace(t=jnp.asarray(k * DT), out=out, **{name: jnp.asarray(x) for name, x in signals.items()})
-        sight = oracle.step(sight, tick, until, until_late)
+        sight = oracle.step(sight, tick, jnp.asarray(wanted, jnp.int32), until, until_late)
     return jax.tree.map(np.asarray, sight)
 
 
@@ -40,6 +41,14 @@ def test_a_fault_is_visible_once_it_is_as_large_as_its_threshold_and_is_not_forg
     np.testing.assert_array_equal(found.late, [1, 0, 2])
     never = seen(0.9 * tau / 1.5, 0.9 * q, np.inf, np.inf)
     assert np.isinf(never.at) and not never.early.any() and not never.late.any()
+
+
+def test_a_contact_that_one_joint_shows_is_known_of_all_that_bear_it():
+    none, pushed = np.zeros((TICKS, N)), np.zeros((TICKS, N))
+    pushed[20:, 0], pushed[60:, 1] = 1.99, -2.0
+    found = seen(none, none, 0.07, 0.08, contact_tau=pushed, wanted=(8, 8, 0))
+    assert found.at == pytest.approx(0.060)
+    np.testing.assert_array_equal([found.early, found.late], [[8, 8, 0]] * 2)
 
 
 def test_a_reading_that_is_absent_is_visible():

@@ -46,7 +46,7 @@ def test_trace_file_holds_every_signal(simulated):
     folder, _ = simulated
     rows = duckdb.sql(f"select * from '{folder / 'runs' / 'simulate-1' / 'trace.parquet'}'").fetchnumpy()
     assert len(rows["t"]) == 300
-    for name in ("q", "qd", "y", "q_ref", "tau_applied", "fault_tau", "fault_q", *jaxftc.Output._fields):
+    for name in ("q", "qd", "y", "q_ref", "tau_applied", "fault_tau", "fault_q", "contact_tau", *jaxftc.Output._fields):
         assert name in rows or all(f"{name}_joint{j}" in rows for j in range(1, 7)), name
     fault = rows["fault_tau_joint3"]
     np.testing.assert_allclose(fault[(rows["t"] > 0.101) & (rows["t"] < 0.249)], 5.0, rtol=1e-4)

@@ -39,7 +39,14 @@ def run(joints: int = 6) -> dict[str, np.ndarray]:
     t = DT * np.arange(TICKS)
     q_ref = np.linspace(0, 0.6, TICKS)[:, None] * np.ones(joints) + 0.3 * np.arange(joints)
     zero = np.zeros((TICKS, joints))
-    columns = {"t": t, "q": q_ref + zero, "q_ref": q_ref, "fault_tau": zero.copy(), "fault_q": zero.copy()}
+    columns = {
+        "t": t,
+        "q": q_ref + zero,
+        "q_ref": q_ref,
+        "fault_tau": zero.copy(),
+        "fault_q": zero.copy(),
+        "contact_tau": zero.copy(),
+    }
     columns["verdict"] = np.zeros((TICKS, joints), np.int32)
     third = min(2, joints - 1)
     columns["q"][10:30, third] += 0.1
@@ -95,7 +102,7 @@ def test_a_trace_comes_back_as_it_was_written(trace):
     for path in (trace, trace.parent):
         found = replay.read(path)
         assert found.joints == tuple(f"joint{j}" for j in range(1, 7))
-        for name in ("t", "q", "q_ref", "fault_tau", "fault_q", "verdict"):
+        for name in ("t", "q", "q_ref", "fault_tau", "fault_q", "contact_tau", "verdict"):
             np.testing.assert_array_equal(getattr(found, name), columns[name])
 
 

@@ -326,6 +326,37 @@ def test_an_event_goes_on_from_stretch_to_stretch():
     assert found == line_of(whole)[1] and len(found) == 2
 
 
+def touched(*spans, length=600, force=20.0):
+    """Contacts of both joints, the first of which alarms alone for ten ticks before."""
+    verdict = np.zeros((length, 2), int)
+    for start, stop in spans:
+        verdict[start - 10 : start, 0] = 1
+        verdict[start:stop] = 8
+    return said_of(verdict)._replace(force=np.where(verdict == 8, [0.0, force], 0.0), fault_tau_hat=0.0 * verdict + 5.0)
+
+
+def test_a_contact_is_one_event_of_its_link():
+    said = touched((100, 150), (180, 220), (400, 405))
+    line = Timeline(("a", "b"), DT)
+    for start, stop in ((0, 130), (130, 600)):
+        line.add(jax.tree.map(lambda leaf, k=slice(start, stop): leaf[k], said), DT * start)
+    found = line.finish()
+    assert [(e.start_s, e.end_s, e.joint, e.joint_name, e.kind, e.size, e.unit) for e in found] == [
+        (0.9, 2.2, 2, "b", "contact", 20.0, "N"),
+        (3.9, 4.05, 1, "a", "actuator", 5.0, "N m"),
+    ]
+    assert line.glitches == 2  # of joint 2, and the contact that was too short
+
+
+def test_a_fault_in_which_a_contact_was_said_for_a_moment_is_a_fault():
+    verdict = ticks((100, 300))
+    verdict[150:180] = 8
+    verdict[180:, 1] = 0
+    line = Timeline(("a", "b"), DT)
+    line.add(said_of(verdict, 5.0)._replace(force=1.0 * (verdict == 8)), 0.0)
+    assert [(e.joint, e.kind) for e in line.finish()] == [(1, "actuator"), (2, "contact")]
+
+
 def test_the_kind_is_what_was_said_most_of_the_time():
     verdict = ticks((100, 200), kind=2)
     verdict[100:110, 0] = 1

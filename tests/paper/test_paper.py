@@ -65,8 +65,10 @@ def detect(config, conditions, seeds):
     batch = jax.tree.map(lambda leaf: jnp.repeat(leaf, seeds, 0), batch)
     batch = batch._replace(id=jnp.tile(jnp.arange(seeds, dtype=jnp.int32), len(conditions)))
     trace = metrics.columns(jaxftc.simulate(config, jaxftc.default_gains(config), batch, jax.random.key(11)))
-    runs = [{name: trace[name][s] for name in ("verdict", "fault_tau", "fault_q")} for s in range(batch.id.size)]
-    found = [metrics.detection(config, run["verdict"], *metrics.truth(run["fault_tau"], run["fault_q"])) for run in runs]
+    runs = [
+        {name: trace[name][s] for name in ("verdict", "fault_tau", "fault_q", "contact_tau")} for s in range(batch.id.size)
+    ]
+    found = [metrics.detection(config, run["verdict"], *metrics.truth(run)) for run in runs]
     return {condition: found[k * seeds : (k + 1) * seeds] for k, condition in enumerate(conditions)}
 
 

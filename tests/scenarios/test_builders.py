@@ -57,9 +57,8 @@ def test_every_kind_of_fault_has_a_method():
     for enum in (Actuator, Sensor):
         assert {kind for kind in kinds if type(kind) is enum} == set(enum) - {enum.NONE}
     public = {name for name in dir(builders) if name.startswith("with_")}
-    assert (
-        public == {*SIZED, *UNSIZED, "with_brown_out"} == {name for name in dir(jaxftc.Scenario) if name.startswith("with_")}
-    )
+    methods = {name for name in dir(jaxftc.Scenario) if name.startswith("with_")}
+    assert public == {*SIZED, *UNSIZED, "with_brown_out"} == methods - {"with_contact"}  # which is no fault of a joint
 
 
 @pytest.mark.parametrize("name", [*SIZED, *UNSIZED])

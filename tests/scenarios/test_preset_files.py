@@ -185,7 +185,7 @@ ERRORS = {
     "[actuator.stuck]\nsize = 1": "actuator.stuck.size: unknown key; the keys here are weight",
     "[sensor]\n'<uniform>' = 3": "sensor.'<uniform>': unknown key; the keys here are bias, drift, freeze, scale, noise, dropout, rounding, wrap, delay, crosstalk",
     '"two\\nlines" = 3': "'two\\nlines': unknown key; the keys here are shares, motion, times, actuator, sensor, "
-    "sensor_in_both, encoder, joints, plant, base",
+    "sensor_in_both, encoder, joints, plant, contact, base",
     "[actuator.bias]": "actuator.bias.size: missing; give a number or a law such as { uniform = [low, high] }",
     "[times.incipient]\nshare = 0.6": "times.incipient.rise_s: missing; give it, "
     'or take what is not said from a preset, with base = "standard" on top',
@@ -209,7 +209,7 @@ ERRORS = {
     "[motion]\nstart_deg = nan": "motion.start_deg: must be a finite number, got nan",
     "[motion]\ntravel_deg = { uniform = [0, inf] }": "motion.travel_deg.uniform: must be a finite number, got inf",
     # ranges
-    "[shares]\nhealthy = 0.5": "shares: must add up to 1, got healthy 0.5 + actuator 0.3 + sensor 0.3 + both 0.2 = 1.3",
+    "[shares]\nhealthy = 0.5": "shares: must add up to 1, got healthy 0.5 + actuator 0.3 + sensor 0.3 + both 0.2 + contact 0 = 1.3",
     "[shares]\nhealthy = -0.5\nboth = 0.9": "shares.healthy: must stay within 0 and 1, got -0.5",
     "[shares]\nhealthy = { uniform = [0, 1] }": "shares.healthy: must be a number, got {'uniform': [0, 1]}",
     "[actuator.loss]\nsize = 1.2": "actuator.loss.size: must stay within 0 and 1, got 1.2",
@@ -254,7 +254,7 @@ ERRORS = {
     "[joints]\nallowed = []": "joints.allowed: must be different joints, counted from 1, got []",
     "[joints]\nallowed = ['elbow']": "joints.allowed[0]: must be an integer, got 'elbow'",
     "[joints]\nallowed = [1]\nat_once = 2": "joints.at_once: must be at most 1, the number of allowed joints, got 2",
-    "shares = 3": "shares: must be a table of healthy, actuator, sensor, both, got 3",
+    "shares = 3": "shares: must be a table of healthy, actuator, sensor, both, contact, got 3",
     "[sensor]\nbias = 3": "sensor.bias: must be a table of weight, size, unit, sign, got 3",
     "[actuator]": "actuator: no kind of fault, but 0.5 of all scenarios have one; add a table [actuator.bias]",
     "[sensor_in_both]": "sensor_in_both: no kind of fault, but 0.2 of all scenarios have one; add a table [sensor_in_both.bias]",
@@ -272,9 +272,9 @@ def test_errors_on_top_of_a_base(load, text):
 ALONE = {
     "": 'my.toml: shares: missing; give it, or take what is not said from a preset, with base = "standard" on top',
     'bse = "standard"': "my.toml: bse: unknown key; did you mean 'base'?",
-    'base = "standrd"': "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 'standrd'; "
+    'base = "standrd"': "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', 'contact', got 'standrd'; "
     "did you mean 'standard'?",
-    "base = 3": "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', got 3",
+    "base = 3": "my.toml: base: must be one of 'paper', 'standard', 'hard', 'doubles', 'uncommon', 'contact', got 3",
     "[shares]\nhealthy = 1\n[motion]\nstart_deg = 0\ntravel_deg = 0\n[times]\nonset_s = 0\npermanent = 0.5": "my.toml: "
     "times.lasting_s: missing; only with permanent = 1 no fault clears, got permanent = 0.5",
     "[shares": "cannot read preset from my.toml: Expected ']' at the end of a table declaration (at end of document)",
@@ -301,7 +301,7 @@ def test_files_that_cannot_be_read(load, tmp_path, config):
 def test_unknown_names():
     for name in ("papr", 3, None):
         hint = r"; did you mean 'paper'\?" if name == "papr" else ""
-        allowed = "'paper', 'standard', 'hard', 'doubles', 'uncommon'"
+        allowed = "'paper', 'standard', 'hard', 'doubles', 'uncommon', 'contact'"
         with pytest.raises(ValueError, match=rf"^preset must be one of {allowed}, got {name!r}{hint} \(a file of your own"):
             load_preset(name)
 

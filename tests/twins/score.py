@@ -15,16 +15,21 @@ def truth(config, scenario):
             if fault.kind[j] > 0 and fault.onset[j] <= last:
                 wanted[j] += bit
                 faults.append((fault.onset[j], fault.clear[j]))
+    contact = scenario.contact
+    if contact.size > 0 and contact.link > 0 and contact.onset <= last:
+        wanted[: contact.link] += 8
+        faults.append((contact.onset, contact.clear))
     if not faults:
         return wanted, 0.0, np.inf
     return wanted, float(min(onset for onset, _ in faults)), float(max(clear for _, clear in faults))
 
 
-def visible_bits(trace):
-    """Bits [T, n] of the faults that are as large as their thresholds, or without a reading."""
+def visible_bits(trace, wanted):
+    """Bits [T, n] of the faults that are as large as their thresholds, or without a reading; of a contact all its joints."""
+    pushed = (np.abs(trace["contact_tau"]) >= trace["threshold_tau"]).any(1)
     tau = np.abs(trace["fault_tau"]) >= trace["threshold_tau"]
     q = (np.abs(trace["fault_q"]) >= trace["threshold_q"]) | np.isnan(trace["y"])
-    return tau + 2 * q
+    return tau + 2 * q + 8 * (pushed[:, None] & (wanted >= 8))
 
 
 def score(config, scenario, trace, at_rest):
@@ -62,15 +67,16 @@ def score(config, scenario, trace, at_rest):
             isolated_at = t[k]
             break
 
+    force = 0.0
     if healthy:
         said = np.bitwise_or.reduce(verdict, axis=0)
     elif np.isfinite(alarm_at):
         first = int(np.flatnonzero(t == alarm_at)[0])
-        said = verdict[min(first + 60, len(t) - 1)]
+        said, force = verdict[min(first + 60, len(t) - 1)], trace["force"][min(first + 60, len(t) - 1)].max()
     else:
         said = np.zeros(len(wanted), int)
 
-    settled, complete_at, bits = said, np.inf, visible_bits(trace)
+    settled, complete_at, bits = said, np.inf, visible_bits(trace, wanted)
     if not healthy and np.isfinite(alarm_at):
         last = max(first, min(first + 300, int(np.flatnonzero(t <= clear + 0.5 * dt)[-1])))
         settled = verdict[min(last, len(t) - 1)]
@@ -100,7 +106,7 @@ def score(config, scenario, trace, at_rest):
     early = np.ones(len(t), bool) if healthy else t < onset
     window = (t >= onset) & (t <= clear + 0.1)
     return {
-        "se_tau": ((trace["fault_tau_hat"] - trace["fault_tau"]) ** 2).sum(),
+        "se_tau": ((trace["fault_tau_hat"] - trace["fault_tau"] - trace["contact_tau"]) ** 2).sum(),
         "se_q": ((trace["fault_q_hat"] - trace["fault_q"]) ** 2).sum(),
         "ise": (error**2).sum(),
         "iae": np.abs(error).sum(),
@@ -124,6 +130,7 @@ def score(config, scenario, trace, at_rest):
         "visible_at": min(t[bits.any(1)], default=np.inf),
         "visible": visible,
         "visible_late": visible_late,
+        "force": force,
         "crossed": np.array([min(t[window & up], default=np.inf) for up in rising]),
         "healthy_tau": lasting[early].max(0, initial=0),
         "healthy_q": size_q[early].max(0, initial=0),

@@ -6,4 +6,5 @@ PRESET_NAMES = (
     "hard",
     "doubles",
     "uncommon",
+    "contact",
 )  # paper is the paper's four conditions in turn and has no file
