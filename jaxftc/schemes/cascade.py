@@ -72,7 +72,7 @@ def gains_used(config: Config) -> set[str]:
     unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
     unused |= set() if on.sliding else set(super_twisting.GAINS)
     unused |= set() if on.online else set(fuzzy_gain.GAINS)
-    unused |= set(compensation.GAINS) if on.raw or config.input == "torque" else set()
+    unused |= set(compensation.GAINS) if config.input == "torque" else set()
     unused |= set() if config.adaptive else {name for name in NAMES if name.startswith("adaptation.")}
     return set(NAMES) - unused - {"control.alpha_sm2" if on.raw else "control.alpha_sm"}
 
