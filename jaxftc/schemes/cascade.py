@@ -72,7 +72,7 @@ def gains_used(config: Config) -> set[str]:
     unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
     unused |= set() if on.sliding else set(super_twisting.GAINS)
     unused |= set() if on.online else set(fuzzy_gain.GAINS)
-    unused |= set(compensation.GAINS) if config.input == "torque" else set()
+    unused |= set() if on.fuzzy and config.input == "rigid_body" else set(compensation.GAINS)
     unused |= set() if config.adaptive else {name for name in NAMES if name.startswith("adaptation.")}
     return set(NAMES) - unused - {"control.alpha_sm2" if on.raw else "control.alpha_sm"}
 
@@ -114,7 +114,7 @@ def step(
     residual = residuals.generate(mass, seen)  # line 5
     level = threshold.of_reference(config.robot, gains.diagnosis, reference)
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
-    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen))
+    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
     control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
     learning, learned = _learn(config, gains, state, at, mass, seen, law, psi, reference)
     command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
@@ -141,12 +141,17 @@ def _applied(config: Config, state: State, tau: Array) -> Applied:
     return Applied(u, qdd, u + state.compensation.ahead)
 
 
-def _to_compensate(config: Config, gains: Gains, sensors: SensorStatus, seen: Estimate) -> compensation.Inputs:
-    """What is known of the actuator fault; the innovation of a suspect reading says nothing of it."""
+def _to_compensate(config: Config, gains: Gains, sensors: SensorStatus, seen: Estimate, on: Stages) -> compensation.Inputs:
+    """What is known of the actuator fault.
+
+    The innovation of a suspect reading says nothing of it, nor does that of an observer that has no estimate of encoder
+    faults: its innovation is as much the encoder's.
+    """
+    zero = jnp.zeros_like(seen.psi)
     if config.input == "torque":  # see _applied
-        return compensation.Inputs(jnp.zeros_like(seen.psi), jnp.zeros_like(seen.psi))
+        return compensation.Inputs(zero, zero)
     left = adaptation.not_in_psi(config, gains) * sensor_check.mask_suspect(sensors, seen.e)
-    return compensation.Inputs(seen.psi, left)
+    return compensation.Inputs(seen.psi, either(on.fuzzy, left, zero))
 
 
 def _to_control(applied: Applied, seen: Estimate, psi: Array, reference: Reference, on: Stages) -> sliding_mode.Inputs:
