@@ -41,6 +41,7 @@ from jaxftc.types import Array
 REACH = math.log(20.0)
 INSET = 0.01  # of the interval
 SMALLEST = {"control.k_b": 1.0, "diagnosis.lead": 1000.0}  # 1/s, 1/s^2; for the others a thousandth of their default
+SMALLEST |= {"control.rate": 10.0}  # 1/s
 SMALLEST |= {"diagnosis.follow_speed": 1e-2, "diagnosis.follow_acceleration": 1e-3}  # s/rad, s^2/rad
 SMALLEST |= {"diagnosis.follow_reversal": 1e-2}  # 1
 SMALLEST |= {"diagnosis.follow_torque": 1e-3, "diagnosis.follow_payload": 1e-3}  # 1/(N m)

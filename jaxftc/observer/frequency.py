@@ -9,6 +9,12 @@ for a reading error y and an acceleration d that the model does not know: an act
 as friction and payload. They enter at the same place, so no observer gain can pass one and stop the other: thresholds have
 to. F is 1 at low frequency: a lasting fault is estimated without bias. The torque residual is M(q) psi, Eq. (13). The
 super-twisting stage is not linear and is left out.
+
+The compensation has a rate of its own (control/compensation.py): psi_c = C d with
+
+    C = F + H w S T^2 z / (z - 1)^2,   H = a z / (z - 1 + a),   a = 1 - exp(-rate T),   w = alpha_p (1 - xi)^2 / T^2,
+
+and 1 - C is what of a fault reaches the arm.
 """
 
 from __future__ import annotations
@@ -34,6 +40,7 @@ class Response(NamedTuple):
     noise: np.ndarray  # [n, F] 1/s^2, N: psi over a reading error
     innovation: np.ndarray  # [n, F] 1, S: innovation over a reading error
     loop: np.ndarray  # [n, F] 1, L
+    compensated: np.ndarray  # [n, F] 1, C: what the control law takes out, over an unknown acceleration
 
 
 class Margins(NamedTuple):
@@ -73,7 +80,9 @@ def frequency_response(config: Config, gains: Gains, frequency: np.ndarray, *, f
     closed, noise = ((row * state).sum(-1).T for row in (y_hat, psi))
     innovation = 1 - closed
     integrator = config.dt**2 * z / (z - 1) ** 2
-    return Response(frequency, noise * integrator, noise, innovation, closed / innovation)
+    fault = noise * integrator
+    compensated = fault + _ahead(config, gains, z) * innovation * integrator
+    return Response(frequency, fault, noise, innovation, closed / innovation, compensated)
 
 
 def margins(config: Config, gains: Gains, *, fuzzy: bool = False) -> Margins:
@@ -104,6 +113,13 @@ def _crossings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     at = np.flatnonzero(x[:-1] * x[1:] < 0)
     share = x[at] / (x[at] - x[at + 1])
     return y[at] + share * (y[at + 1] - y[at])
+
+
+def _ahead(config: Config, gains: Gains, z: np.ndarray) -> np.ndarray:
+    """What is compensated beside psi over the innovation, [n, F] 1/s^2: H w at z [F]."""
+    alpha_p, xi, rate = (np.asarray(x, float)[:, None] for x in (gains.observer.alpha_p, gains.arx.xi_a, gains.control.rate))
+    share = -np.expm1(-rate * config.dt)
+    return alpha_p * ((1 - xi) / config.dt) ** 2 * share * z / (z - 1 + share)
 
 
 def _loop(config: Config, gains: Gains, fuzzy: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxftc.compile.box import box
 from jaxftc.config import Config
-from jaxftc.control import fuzzy_gain, last_command, sliding_mode
+from jaxftc.control import compensation, fuzzy_gain, last_command, sliding_mode
 from jaxftc.control.last_command import LastCommand
 from jaxftc.diagnosis import contact, decision, residuals, sensor_check, statistics, threshold
 from jaxftc.gains import NAMES, Gains
@@ -38,6 +38,7 @@ class State(NamedTuple):
     sensors: SensorStatus
     command: LastCommand
     psi: Array  # [n, ...] rad/s^2, fault estimate of the last tick
+    compensation: compensation.State
     adaptation: adaptation.State | None = None  # where the arm is learned
 
     @property
@@ -61,7 +62,7 @@ class Applied(NamedTuple):
 
     u: Array  # [n, ...] input of the ARX model: rad/s^2, or N m for ``input="torque"``
     qdd: Array  # [n, ...] rad/s^2, without the estimated fault
-    qdd_hat: Array  # [n, ...] rad/s^2, with it
+    qdd_hat: Array  # [n, ...] rad/s^2, with what was compensated
 
 
 def gains_used(config: Config) -> set[str]:
@@ -71,6 +72,7 @@ def gains_used(config: Config) -> set[str]:
     unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
     unused |= set() if on.sliding else set(super_twisting.GAINS)
     unused |= set() if on.online else set(fuzzy_gain.GAINS)
+    unused |= set() if on.fuzzy and config.input == "rigid_body" else set(compensation.GAINS)
     unused |= set() if config.adaptive else {name for name in NAMES if name.startswith("adaptation.")}
     return set(NAMES) - unused - {"control.alpha_sm2" if on.raw else "control.alpha_sm"}
 
@@ -85,6 +87,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         sensors=sensor_check.nothing_found(q),
         command=last_command.hold(config.robot, q),
         psi=jnp.zeros_like(q),
+        compensation=compensation.init(config, gains, q),
         adaptation=adaptation.init(config, gains, q) if config.adaptive else None,
     )
 
@@ -111,8 +114,9 @@ def step(
     residual = residuals.generate(mass, seen)  # line 5
     level = threshold.of_reference(config.robot, gains.diagnosis, reference)
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
-    control, law = sliding_mode.step(config, gains, state.control, _to_control(config, applied, seen, reference, on))
-    learning, learned = _learn(config, gains, state, at, mass, seen, law, reference)
+    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
+    control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
+    learning, learned = _learn(config, gains, state, at, mass, seen, law, psi, reference)
     command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
     real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
@@ -120,7 +124,7 @@ def step(
     inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     judged = contact.judge(config, contact.Inputs(at, statistic.tau, level, said.verdict))
-    state = State(observer, means, decided, control, said.sensors, command, seen.psi, learning)
+    state = State(observer, means, decided, control, said.sensors, command, seen.psi, known, learning)
     return state, _report(config, gains, seen, residual, statistic, level, said, judged, law, command)
 
 
@@ -134,13 +138,26 @@ def _applied(config: Config, state: State, tau: Array) -> Applied:
     qdd = last_command.applied_acceleration(state.command, tau)
     if config.input == "torque":
         return Applied(tau + MassMatrix.unpacked(state.command.mass).matvec(state.psi), qdd, qdd)
-    return Applied(qdd + state.psi, qdd, qdd + state.psi)
+    u = qdd + state.psi
+    return Applied(u, qdd, u + state.compensation.ahead)
 
 
-def _to_control(config: Config, applied: Applied, seen: Estimate, reference: Reference, on: Stages) -> sliding_mode.Inputs:
+def _to_compensate(config: Config, gains: Gains, sensors: SensorStatus, seen: Estimate, on: Stages) -> compensation.Inputs:
+    """What is known of the actuator fault.
+
+    The innovation of a suspect reading says nothing of it, nor does that of an observer that has no estimate of encoder
+    faults: its innovation is as much the encoder's.
+    """
+    zero = jnp.zeros_like(seen.psi)
+    if config.input == "torque":  # see _applied
+        return compensation.Inputs(zero, zero)
+    left = adaptation.not_in_psi(config, gains) * sensor_check.mask_suspect(sensors, seen.e)
+    return compensation.Inputs(seen.psi, either(on.fuzzy, left, zero))
+
+
+def _to_control(applied: Applied, seen: Estimate, psi: Array, reference: Reference, on: Stages) -> sliding_mode.Inputs:
     """What the control law sees: the reading as it comes, or both faults taken out."""
     q, acceleration = either(on.raw, (seen.y, applied.qdd), (seen.q_hat, applied.qdd_hat))
-    psi = seen.psi if config.input == "rigid_body" else jnp.zeros_like(q)  # see _applied
     return sliding_mode.Inputs(q, acceleration, seen.model_reset, psi, reference, on)
 
 
@@ -152,6 +169,7 @@ def _learn(
     mass: MassMatrix,
     seen: Estimate,
     law: sliding_mode.Command,
+    psi: Array,
     reference: Reference,
 ) -> tuple[adaptation.State | None, adaptation.Correction | None]:
     """What the cascade finds wrong with the arm's model, where that is learned."""
@@ -162,7 +180,7 @@ def _learn(
         torque=mass.matvec(seen.psi + adaptation.not_in_psi(config, gains) * seen.e),
         qd=law.qd_hat,
         alarmed=alarms.tau + alarms.q + state.sensors.suspect > 0,
-        columns=adaptation.columns(config, gains, at, law.qd_hat, law.qdd + seen.psi, reference.qd),
+        columns=adaptation.columns(config, gains, at, law.qd_hat, law.qdd + psi, reference.qd),
     )
     return adaptation.step(config, gains, state.adaptation, inputs)
 

@@ -10,8 +10,9 @@ for a better sensor leaves the model's errors as they are. With t the observer's
 
 * the poles of its error are today's to the power of t, which gives xi and alpha_p; so is 1 less what a leak or a low-pass
   forgets in a tick, and what the integrals take up of a fault in a tick, which gives alpha_i and alpha_f;
-* a fault of the same size is an innovation pace^-2 as large: alpha_sm and alpha_sm0 go with pace, eps with pace^-2, lead
-  with pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it alpha_tau;
+* a fault of the same size is an innovation pace^-2 as large: alpha_sm, alpha_sm0 and control.rate go with pace, eps with
+  pace^-2, lead with pace^2. The noise of the estimate, sigma T^(1/2) pace^(5/2), goes with pace^(-1/2), and with it
+  alpha_tau;
 * a jump must stand out of the noise and of what a torque can do in a tick;
 * the loop of control is slowed where its delay of a tick or two would count.
 """
@@ -96,6 +97,7 @@ def _factors(config: Config, today: dict[str, dict[str, Any]], pace: np.ndarray,
     factors |= {f"arx.{name}": after["xi"] / before["xi"] for name in ("xi_a", "xi_b")}
     factors |= {f"observer.{name}": pace for name in ("alpha_sm", "alpha_sm0")}
     factors |= {"observer.eps": pace**-2, "diagnosis.lead": pace**2, "diagnosis.alpha_tau": pace**-0.5}
+    factors["control.rate"] = pace
     factors["observer.jump"] = np.maximum(np.maximum(1.0, sigma), 2 * PUSH * config.dt**2 / today["observer"]["jump"])
     for path in ("observer.leak", "diagnosis.leak_tau", "diagnosis.leak_q", "control.speed_weight", "baseline.speed_weight"):
         block, name = path.split(".")

@@ -14,7 +14,7 @@ import pytest
 
 import jaxftc
 from jaxftc import stages
-from jaxftc.control import sliding_mode
+from jaxftc.control import compensation, sliding_mode
 from jaxftc.diagnosis import alarm, decision, sensor_check, statistics
 from jaxftc.gains import align
 from jaxftc.observer import adaptation, cascade, pi, stage, super_twisting, takagi_sugeno
@@ -78,6 +78,7 @@ SMALL = [
     Block("super-twisting-hard", super_twisting, stage.Inputs(1e-3, 1.0, None), (("sign", "hard"),)),
     Block("takagi-sugeno", takagi_sugeno, takagi_sugeno.Inputs(1e-3, 1.0, 3.0, 2.0)),
     Block("adaptation", adaptation, adaptation.Inputs(3.0, 2.0, False, adaptation.Columns(2.0, 1.0, 1.0))),
+    Block("compensation", compensation, compensation.Inputs(10.0, 10.0)),
     Block("statistics", statistics, statistics.Inputs(3.0, 0.02)),
     Block("alarm", alarm, alarm.Inputs(statistics.Statistics(3.0, 0.02), 2.0)),
     Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 2.0, 3.0, ESTIMATE, 2.0, 1.0)),

@@ -51,7 +51,8 @@ class Case(NamedTuple):
 
 
 UNUSED = BASELINE | ADAPTATION
-PLAIN = UNUSED | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING
+COMPENSATION = {"control.rate"}  # where encoder faults are estimated
+PLAIN = UNUSED | FUZZY_STAGE | FUZZY_GAIN | SUPER_TWISTING | COMPENSATION
 FULL = Case("chain", "ts", "afesmc", frozenset(UNUSED | {"control.alpha_sm"}))
 SMC = Case("chain", "pi", "smc", frozenset(PLAIN | {"control.alpha_sm2"}))
 CASES = {
@@ -59,7 +60,9 @@ CASES = {
     "mjx-ts-afesmc": FULL._replace(engine="mjx"),
     "adaptive": FULL._replace(idle=FULL.idle - ADAPTATION, adaptive=True),
     "chain-pi-smc": SMC,
-    "chain-eso-esmc": Case("chain", "eso", "esmc", frozenset(UNUSED | FUZZY_STAGE | FUZZY_GAIN | {"control.alpha_sm"})),
+    "chain-eso-esmc": Case(
+        "chain", "eso", "esmc", frozenset(UNUSED | FUZZY_STAGE | FUZZY_GAIN | COMPENSATION | {"control.alpha_sm"})
+    ),
     "mjx-pi-smc": SMC._replace(engine="mjx"),
 }
 
@@ -69,7 +72,7 @@ def base_gains(config: jaxftc.Config) -> jaxftc.Gains:
     gains = jaxftc.default_gains(config)
     n = config.n
     floor = jnp.where(jnp.arange(n) < n / 2, 0.1, 2.9)  # the first joints below it, the last above
-    control = {"control.k_b": 1.0, "control.floor": floor}
+    control = {"control.k_b": 1.0, "control.rate": 100.0, "control.floor": floor}
     follow = dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.01, 0.02), strict=True))
     return gains.replace(control | follow | {"diagnosis.lam_q": 0.7, "diagnosis.alpha_q": JUMP, "diagnosis.lead": 1e3})
 

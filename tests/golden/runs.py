@@ -17,6 +17,7 @@ from tests.arms import three_hinges
 FILE = Path(__file__).with_name("numbers.npz")
 SCHEMES = {
     "afesmc": {},
+    "compensated": {},
     "esmc": {"control": "esmc"},
     "smc": {"control": "smc"},
     "eso": {"observer": "eso"},
@@ -28,6 +29,7 @@ SCHEMES = {
     "momentum": {"scheme": "momentum"},
     "ekf": {"scheme": "ekf"},
 }
+GAINS = {"compensated": {"control.rate": 150.0, "control.speed_weight": 0.08}}  # beside the defaults
 EVERY = 7  # th tick of a trace is kept
 
 
@@ -42,7 +44,8 @@ def traces(name: str) -> dict[str, np.ndarray]:
     scenario = jaxftc.paper_scenario("both", own)
     early = [fault._replace(onset=0.02 + 0.0 * fault.onset) for fault in (scenario.fault_tau, scenario.fault_q)]
     scenario = scenario._replace(fault_tau=early[0], fault_q=early[1])
-    trace = jaxftc.simulate(own, jaxftc.default_gains(own), scenario, jax.random.key(0))
+    gains = jaxftc.default_gains(own).replace(GAINS.get(name, {}))
+    trace = jaxftc.simulate(own, gains, scenario, jax.random.key(0))
     found = {key: value for key, value in trace._asdict().items() if key != "out"} | trace.out._asdict()
     return {key: np.asarray(value)[::EVERY] for key, value in found.items()}
 
