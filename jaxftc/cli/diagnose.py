@@ -35,7 +35,7 @@ class Diagnose(LogOptions, common.ArmOptions):
 
     log: Annotated[Path | None, tyro.conf.Positional, common.left_out("LOG")] = None
     """Log: text, Parquet, MCAP, or rosbag2 of sensor_msgs/JointState."""
-    contact: int = 1
+    contact: int = 0
     """Judge contacts, where at most so many motors fail at once (1 or 2); 0 judges none."""
     gains: common.MaybePath = None
     """Gains that jaxftc calibrate --logs wrote; default thresholds, which suit an exact model only, if not given."""
