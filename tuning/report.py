@@ -211,6 +211,6 @@ def _describe(config: Config, scenario: Scenario) -> str:
         for joint in np.flatnonzero(fault.kind):
             who = "actuator" if kinds is Actuator else "encoder"
             parts.append(f"{who} {kinds(int(fault.kind[joint])).name.lower()} on {config.robot.joint_names[joint]}")
-    if scenario.contact.size > 0:
+    if scenario.contact is not None and scenario.contact.size > 0:
         parts.append(f"force on link {int(scenario.contact.link)}")
     return ", ".join(parts) or "healthy"

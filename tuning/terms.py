@@ -81,7 +81,8 @@ def _share(x: Array) -> Array:
 
 def fault_tau(run: Run) -> Array:
     """Error of the torque-fault estimate, rms, against the smallest fault of ``standard``."""
-    true = run.trace.fault_tau + run.trace.contact_tau
+    true = run.trace.fault_tau
+    true = true if run.scenario.contact is None else true + run.trace.contact_tau
     return _share(_rms(run.trace.out.fault_tau_hat - true, SMALL_TORQUE * _limit(run)))
 
 
@@ -126,12 +127,13 @@ def alarms(run: Run) -> Alarms:
     trusted = 1 - jax.lax.stop_gradient(out.suspect)
     faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact
     faulty = [fault.kind > 0 for fault in faults]
-    pushed = (jnp.abs(run.trace.contact_tau) >= out.threshold_tau).any(0)
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
-    onset = jnp.minimum(onset, jnp.where(pushed.any(0), contact.onset, jnp.inf))
-    clear = jnp.maximum(clear, jnp.where(pushed.any(0), contact.clear, -jnp.inf))
-    faulty[0] = faulty[0] | pushed
+    if contact is not None:
+        pushed = (jnp.abs(run.trace.contact_tau) >= out.threshold_tau).any(0)
+        onset = jnp.minimum(onset, jnp.where(pushed.any(0), contact.onset, jnp.inf))
+        clear = jnp.maximum(clear, jnp.where(pushed.any(0), contact.clear, -jnp.inf))
+        faulty[0] = faulty[0] | pushed
     t = run.trace.t.reshape(-1, *[1] * onset.ndim)
     return Alarms(grade_tau * trusted, 1 - (1 - grade_q) * trusted, ratios, faulty[0], faulty[1], t - onset, clear - t)
 

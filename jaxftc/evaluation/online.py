@@ -23,6 +23,7 @@ from jaxftc.evaluation.metrics import RECOVERY, SETTLE
 from jaxftc.gains import Gains
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import lanes
+from jaxftc.scenarios.contact import no_contact
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array, Verdict
@@ -96,7 +97,7 @@ class State(NamedTuple):
 
 def truth(config: Config, scenario: Scenario) -> Truth:
     """What the scenario says of its faults; scenario axes trailing."""
-    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact
+    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact or no_contact()
     faulty = [(fault.kind > 0) & (fault.onset <= (config.ticks - 1) * config.dt) for fault in faults]
     pushed = (contact.size > 0) & (contact.link > 0) & (contact.onset <= (config.ticks - 1) * config.dt)
     ill = (faulty[0] | faulty[1]).any(0) | pushed

@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.evaluation.online import LEVELS, Score
-from jaxftc.scenarios.contact import Contact
+from jaxftc.scenarios.contact import Contact, no_contact
 from jaxftc.scenarios.faults import Actuator, Fault, Kind, Sensor
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import KINDS, Verdict
@@ -51,7 +51,8 @@ class _Drawn:
     def __init__(self, config: Config, scenarios: Scenario) -> None:
         self.id = np.asarray(scenarios.id, np.int64)
         self.tau, self.q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
-        self.contact = _Contact(config, scenarios.contact)
+        none = Contact(*(np.broadcast_to(leaf, (*self.id.shape, *leaf.shape)) for leaf in no_contact()))  # pyright: ignore[reportArgumentType]
+        self.contact = _Contact(config, scenarios.contact or none)
         # [n, scenarios], the verdict that is right
         self.wanted = Verdict.ACTUATOR * self.tau.faulty | Verdict.SENSOR * self.q.faulty | self.contact.wanted
         self.healthy = ~(self.wanted > 0).any(0)  # [scenarios]

@@ -13,11 +13,13 @@ from jaxftc.simulation.fault_profiles import size
 from jaxftc.types import Array
 
 
-def torque(robot: Robot, contact: Contact, t: Array, q: Array) -> Array:
-    """J^T F [n, ...] N m at t s of an arm at q [n, ...] rad; exactly 0 where there is no contact.
+def torque(robot: Robot, contact: Contact | None, t: Array, q: Array) -> Array:
+    """J^T F [n, ...] N m at t s of an arm at q [n, ...] rad; exactly 0 where there is no contact, or it is None.
 
     The kinematics are run only where one scenario of the batch is touched.
     """
+    if contact is None:
+        return jnp.zeros_like(q)
     axes = q.ndim - 1
     contact = Contact(*(trailing(x, name in ("offset", "axis"), axes) for name, x in contact._asdict().items()))
     force = jnp.broadcast_to(size(contact, t) * contact.size, q.shape[1:])
