@@ -14,7 +14,7 @@ The compensation has a rate of its own (control/compensation.py): psi_c = C d wi
 
     C = F + H w S T^2 z / (z - 1)^2,   H = a z / (z - 1 + a),   a = 1 - exp(-rate T),   w = alpha_p (1 - xi)^2 / T^2,
 
-and 1 - C is what of a fault reaches the arm.
+and 1 - C is what of a fault reaches the arm. Without the fuzzy stage C is F.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxftc import checks
+from jaxftc import checks, stages
 from jaxftc.config import Config
 from jaxftc.gains import Gains
 from jaxftc.observer.stability import error_matrices
@@ -116,7 +116,9 @@ def _crossings(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _ahead(config: Config, gains: Gains, z: np.ndarray) -> np.ndarray:
-    """What is compensated beside psi over the innovation, [n, F] 1/s^2: H w at z [F]."""
+    """What is compensated beside psi over the innovation, [n, F] 1/s^2: H w at z [F]; 0 without the fuzzy stage."""
+    if not stages.of(config).fuzzy:
+        return np.zeros((config.n, len(z)))
     alpha_p, xi, rate = (np.asarray(x, float)[:, None] for x in (gains.observer.alpha_p, gains.arx.xi_a, gains.control.rate))
     share = -np.expm1(-rate * config.dt)
     return alpha_p * ((1 - xi) / config.dt) ** 2 * share * z / (z - 1 + share)

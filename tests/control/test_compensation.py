@@ -84,30 +84,33 @@ def test_a_suspect_reading_says_nothing_of_the_torque():
 
 
 @pytest.fixture(scope="module")
-def pi():
+def linear():
+    """PI, whose recursion is that of every stage while the others are quiet; the config that compensates; gains."""
     made = config(observer="pi")
-    return made, jaxftc.default_gains(made).replace({"control.rate": np.array([0.0, 50.0, 300.0])})
+    return made, config(), jaxftc.default_gains(made).replace({"control.rate": np.array([0.0, 50.0, 300.0])})
 
 
 @pytest.mark.parametrize("frequency", [10.0, 40.0])
-def test_its_response_is_that_of_the_recursion(pi, frequency):
-    made, gains = pi
+def test_its_response_is_that_of_the_recursion(linear, frequency):
+    made, whole, gains = linear
     sine = np.sin(2 * np.pi * frequency * made.dt * np.arange(600))[:, None] * np.ones(3)
     e, psi = run(made, gains, 0 * sine, sine)
     found = np.asarray(compensated(gains, psi, e * np.asarray(adaptation.not_in_psi(made, gains))))
     share = amplitude(found, frequency, made.dt) / amplitude(sine, frequency, made.dt)
-    response = frequency_response(made, gains, np.array([frequency]))
+    response = frequency_response(whole, gains, np.array([frequency]))
     np.testing.assert_allclose(share, response.compensated[:, 0], rtol=0.02)
     np.testing.assert_allclose(response.compensated[0], response.fault[0])  # at rate 0
+    alone = frequency_response(made, gains, np.array([frequency]))
+    np.testing.assert_array_equal(alone.compensated, alone.fault)
 
 
-def test_the_rate_raises_the_bandwidth_and_leaves_the_diagnosis_alone(pi):
-    made, gains = pi
-    response = frequency_response(made, gains, np.geomspace(0.1, 3.0, 30))
+def test_the_rate_raises_the_bandwidth_and_leaves_the_diagnosis_alone(linear):
+    _, whole, gains = linear
+    response = frequency_response(whole, gains, np.geomspace(0.1, 3.0, 30))
     reaches = np.abs(1 - response.compensated)  # the arm
     assert (reaches[1] < reaches[0]).all() and (reaches[2] < reaches[1]).all()
     np.testing.assert_array_equal(response.fault[0], response.fault[2])
-    np.testing.assert_allclose(frequency_response(made, gains, np.array([0.01])).compensated, 1.0, atol=0.01)
+    np.testing.assert_allclose(frequency_response(whole, gains, np.array([0.01])).compensated, 1.0, atol=0.01)
 
 
 def closed_loop(made, gains, inertia, fuzzy, reaching):
