@@ -188,7 +188,7 @@ def test_thinning_keeps_the_extremes_in_order(y):
 
 def test_fault_windows_are_where_the_fault_is():
     there = np.array([0, 1, 1, 0, 0, 1, 0])[:, None] * np.ones((1, 2))
-    trace = {"t": 0.1 * np.arange(7), "fault_tau": there, "fault_q": 0 * there}
+    trace = {"t": 0.1 * np.arange(7), "fault_tau": there, "fault_q": 0 * there, "contact_tau": 0 * there}
     np.testing.assert_allclose(list(windows(trace)), [(0.1, 0.2), (0.5, 0.5)])
 
 

@@ -136,9 +136,9 @@ def test_compilers_have_nothing_to_say(exported, real, tmp_path):
     folder, _ = exported[real]
     native.build([folder / "ftc_step.c"], tmp_path / "ftc_step.o", "-c", *STRICT)
     source = (folder / "ftc_step.c").read_text()
-    assert not re.search(r"\b(for|while|goto|malloc|static [^i])", source), "no loop, no memory"
+    assert not re.search(r"\b(for|while|goto|malloc)\b|\bstatic [^i]", source), "no loop, no memory"
     assert set(re.findall(r"#include [<\"]([\w.]+)", source)) == {"ftc_step.h", "math.h"}
-    names = {"cos", "sin", "tanh", "exp", "sqrt", "fabs", "rint", "floor"}
+    names = {"cos", "sin", "tanh", "exp", "expm1", "sqrt", "fabs", "rint", "floor"}  # of math.h
     called = set(re.findall(r"\b(?!ftc_)([a-z]\w*)\(", re.sub(r"/\*.*?\*/", "", source)))
     assert called <= names | {f"{name}f" for name in names} | {"isfinite"}, called
 
