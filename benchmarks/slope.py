@@ -10,7 +10,7 @@ from benchmarks import arms, workloads
 from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.robot.model_file import compile_robot
-from jaxftc.scenarios.scenario import known_untouched, trail
+from jaxftc.scenarios.scenario import trail
 from jaxftc.schemes.defaults import default_gains
 from tuning import transform
 from tuning.problem import CLIP, Problem
@@ -29,7 +29,7 @@ def slope_error() -> float:
         gains, batch = default_gains(config), 4
         problem = Problem(config, OBJECTIVE, jax.random.key(workloads.NOISE), batch)
         space = transform.space(config, gains, transform.select(config))
-        scenarios, one = trail(known_untouched(workloads.drawn(config, batch))), jnp.ones(())
+        scenarios, one = trail(workloads.drawn(config, batch)), jnp.ones(())
         before = jnp.full((len(OBJECTIVE), batch), jnp.inf)  # no term is worse: the loss is the objective
         _, slopes = jit(problem.slope(space, "reverse"))(problem.key, jnp.zeros(space.size), one, scenarios, before)
         length = jnp.sqrt((slopes * slopes).sum(0))

@@ -19,7 +19,7 @@ from jaxftc.compile import processes
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.gains import Gains
-from jaxftc.scenarios.scenario import Scenario, known_untouched, take
+from jaxftc.scenarios.scenario import Scenario, take
 from jaxftc.simulation.closed_loop import check as check_scenario
 from jaxftc.types import Array
 from tuning import checkpoint, methods, transform
@@ -127,7 +127,7 @@ def fit(
     """
     settings.check()
     space = transform.space(config, gains, transform.select(config, only, freeze), shared)
-    training, validation = map(known_untouched, _split(config, gains, scenarios, validation, settings))
+    training, validation = _split(config, gains, scenarios, validation, settings)
     if not objective:
         raise ValueError("the objective has no terms; give at least one, or tuning.OBJECTIVE")
     follows = threshold.follows(gains.diagnosis) or not set(space.names).isdisjoint(threshold.GAINS)

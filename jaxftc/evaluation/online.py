@@ -23,7 +23,6 @@ from jaxftc.evaluation.metrics import RECOVERY, SETTLE
 from jaxftc.gains import Gains
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import lanes
-from jaxftc.scenarios.contact import no_contact
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array, Verdict
@@ -97,16 +96,18 @@ class State(NamedTuple):
 
 def truth(config: Config, scenario: Scenario) -> Truth:
     """What the scenario says of its faults; scenario axes trailing."""
-    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact or no_contact()
+    faults, contact = (scenario.fault_tau, scenario.fault_q), scenario.contact
     faulty = [(fault.kind > 0) & (fault.onset <= (config.ticks - 1) * config.dt) for fault in faults]
-    pushed = (contact.size > 0) & (contact.link > 0) & (contact.onset <= (config.ticks - 1) * config.dt)
-    ill = (faulty[0] | faulty[1]).any(0) | pushed
+    ill = (faulty[0] | faulty[1]).any(0)
+    wanted = faulty[0].astype(jnp.int32) + 2 * faulty[1].astype(jnp.int32)
     onset = jnp.stack([jnp.where(f, fault.onset, jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).min((0, 1))
     clear = jnp.stack([jnp.where(f, fault.clear, -jnp.inf) for f, fault in zip(faulty, faults, strict=True)]).max((0, 1))
-    onset = jnp.minimum(onset, jnp.where(pushed, contact.onset, jnp.inf))
-    clear = jnp.maximum(clear, jnp.where(pushed, contact.clear, -jnp.inf))
-    bears = pushed & (lanes.trailing_constant(np.arange(1, config.n + 1), faulty[0]) <= contact.link)
-    wanted = faulty[0].astype(jnp.int32) + 2 * faulty[1].astype(jnp.int32) + Verdict.CONTACT * bears.astype(jnp.int32)
+    if contact is not None:
+        pushed = (contact.size > 0) & (contact.link > 0) & (contact.onset <= (config.ticks - 1) * config.dt)
+        onset = jnp.minimum(onset, jnp.where(pushed, contact.onset, jnp.inf))
+        clear = jnp.maximum(clear, jnp.where(pushed, contact.clear, -jnp.inf))
+        bears = pushed & (lanes.trailing_constant(np.arange(1, config.n + 1), faulty[0]) <= contact.link)
+        ill, wanted = ill | pushed, wanted + Verdict.CONTACT * bears.astype(jnp.int32)
     return Truth(wanted, ~ill, jnp.where(ill, onset, 0.0), jnp.where(ill, clear, jnp.inf))
 
 

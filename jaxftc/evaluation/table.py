@@ -51,8 +51,7 @@ class _Drawn:
     def __init__(self, config: Config, scenarios: Scenario) -> None:
         self.id = np.asarray(scenarios.id, np.int64)
         self.tau, self.q = _Channel(config, scenarios.fault_tau, Actuator), _Channel(config, scenarios.fault_q, Sensor)
-        none = Contact(*(np.broadcast_to(leaf, (*self.id.shape, *leaf.shape)) for leaf in no_contact()))  # pyright: ignore[reportArgumentType]
-        self.contact = _Contact(config, scenarios.contact or none)
+        self.contact = _Contact(config, scenarios.contact or no_contact(self.id.shape))
         # [n, scenarios], the verdict that is right
         self.wanted = Verdict.ACTUATOR * self.tau.faulty | Verdict.SENSOR * self.q.faulty | self.contact.wanted
         self.healthy = ~(self.wanted > 0).any(0)  # [scenarios]

@@ -53,11 +53,12 @@ class Contact(NamedTuple):
     duty: Array
 
 
-def no_contact() -> Contact:
-    """Nothing touches the arm."""
+def no_contact(axes: tuple[int, ...] = ()) -> Contact:
+    """Contacts of size 0, scenarios on leading ``axes``: for a run that stands beside runs with one."""
     zero, never = jnp.zeros(()), jnp.full((), jnp.inf)
     up = jnp.asarray([0.0, 0.0, 1.0])
-    return Contact(jnp.zeros((), jnp.int32), zero, jnp.zeros(3), up, zero, zero, never, zero, never, jnp.ones(()))
+    none = Contact(jnp.zeros((), jnp.int32), zero, jnp.zeros(3), up, zero, zero, never, zero, never, jnp.ones(()))
+    return Contact(*(jnp.broadcast_to(leaf, (*axes, *leaf.shape)) for leaf in none))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -133,10 +134,11 @@ def with_contact(
     """
     given: Any = scenario
     axes, joints = np.shape(given.id), np.shape(given.fault_tau.onset)[-1]
-    if np.shape(given.contact.size) != axes:
+    before = given.contact or no_contact(axes)
+    if np.shape(before.size) != axes:
         raise ValueError(
             "a contact is given to one scenario or to a set with a leading axis, got contact.size of shape "
-            f"{list(np.shape(given.contact.size))} and id of shape {list(axes)}"
+            f"{list(np.shape(before.size))} and id of shape {list(axes)}"
         )
     checks.integer("link", link, 1, f"links count from 1 to {joints}")
     if link > joints:
@@ -147,7 +149,7 @@ def with_contact(
     require_range("along", along, 0.0, 1.0)
     values = {"link": jnp.int32(link), "along": along, "offset": offset, "axis": _unit(axis), "size": force}
     values |= times_of(onset, law)
-    contact = Contact(*(_filled(name, values[name], leaf, axes) for name, leaf in given.contact._asdict().items()))
+    contact = Contact(*(_filled(name, values[name], leaf, axes) for name, leaf in before._asdict().items()))
     return given._replace(contact=contact)
 
 

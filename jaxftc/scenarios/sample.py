@@ -22,7 +22,7 @@ from jaxftc.compile.jit import jit
 from jaxftc.config import Config
 from jaxftc.robot.dynamics import Plant
 from jaxftc.scenarios import contact
-from jaxftc.scenarios.contact import Contact, no_contact
+from jaxftc.scenarios.contact import Contact
 from jaxftc.scenarios.distributions import Law, scaled
 from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, kinds
 from jaxftc.scenarios.preset import Paper, Preset, Times
@@ -189,10 +189,10 @@ def _times(times: Times, stream: UniformStream) -> dict[str, Array]:
     }
 
 
-def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: dict[str, Array]) -> Contact:
-    """The drawn contact where it is ``there``, from numbers of its own."""
-    if preset.contact is None:
-        return no_contact()
+def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: dict[str, Array]) -> Contact | None:
+    """The drawn contact where it is ``there``, from numbers of its own; None if the preset never has one."""
+    if preset.contact is None or preset.shares.contact == 0:
+        return None
     links = preset.contact.links or range(1, n + 1)
     return contact.draw(preset.contact, stream.apart(CONTACT, 8), list(links), there, law)
 

@@ -25,7 +25,7 @@ from jaxftc.numerics.batch import trailing
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
 from jaxftc.scenarios.faults import Actuator, Fault, Sensor
-from jaxftc.scenarios.scenario import Scenario, known_untouched, trail
+from jaxftc.scenarios.scenario import Scenario, trail
 from jaxftc.schemes import registry
 from jaxftc.simulation import contact, fault_injection, noise
 from jaxftc.types import Array, Measurement, Output
@@ -89,7 +89,6 @@ def simulate(config: Config, gains: Gains, scenario: Scenario, key: Array) -> Tr
     """
     check(config, gains, scenario)
     checks.random_key("key", key)
-    scenario = known_untouched(scenario)
     many = jnp.ndim(scenario.id) == 1
     trace = rollout(config, gains, _trail(scenario) if many else scenario, key)
     return lead(trace) if many else trace

@@ -14,6 +14,7 @@ from twins import score as twin
 import jaxftc
 from jaxftc.campaigns import run
 from jaxftc.evaluation import metrics, online, table
+from jaxftc.scenarios.contact import no_contact
 from jaxftc.scenarios.faults import Actuator, Sensor
 from tests.arms import three_hinges
 
@@ -27,6 +28,7 @@ def setting():
     parts = []
     for k, preset in enumerate(("standard", "hard", "doubles", "contact")):
         drawn = jaxftc.sample_scenarios(jax.random.key(40 + k), 12, preset, config=config)
+        drawn = drawn._replace(contact=drawn.contact or no_contact((12,)))
         early = {
             name: fault._replace(onset=0.4 * fault.onset, clear=0.4 * fault.clear)
             for name, fault in (("fault_tau", drawn.fault_tau), ("fault_q", drawn.fault_q), ("contact", drawn.contact))

@@ -19,7 +19,7 @@ from jaxftc.io.files import SUFFIX
 pytestmark = pytest.mark.slow
 MOMENTS = 30  # of each command, the signals in turn
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
-PROGRAM = "from jaxftc.cli.main import main; main()"
+PROGRAM = "from jaxftc.cli.main import main; print(flush=True); main()"  # it says that Python has got as far as us
 COMMANDS = {
     "simulate": ["--duration", "0.3"],
     "calibrate": ["--runs", "600", "--false-alarms", "0.05", "--duration", "0.2"],
@@ -40,8 +40,10 @@ def command(tmp_path_factory):
 
     def begin(name, folder):
         words = [sys.executable, "-c", PROGRAM, name, *shared, *COMMANDS[name]]
-        pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-        return subprocess.Popen(words, cwd=folder, env=environment, **pipes)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        running = subprocess.Popen(words, cwd=folder, env=environment, **pipes)
+        running.stdout.readline()
+        return running
 
     return begin
 
@@ -79,7 +81,7 @@ def test_stopped_at_random_moments(name, command, tmp_path):
     while stops < MOMENTS:
         running, number = command(name, tmp_path / "stopped"), SIGNALS[stops % len(SIGNALS)]
         try:
-            running.wait(chance.uniform(0.05, seconds))
+            running.wait(chance.uniform(0.0, seconds))
         except subprocess.TimeoutExpired:
             running.send_signal(number)
             stops += 1

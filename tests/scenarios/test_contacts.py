@@ -10,7 +10,7 @@ import pytest
 
 import jaxftc
 from jaxftc.campaigns.calibrate import without_faults
-from jaxftc.scenarios.contact import ContactLaw
+from jaxftc.scenarios.contact import ContactLaw, no_contact
 from jaxftc.scenarios.distributions import Uniform
 from jaxftc.scenarios.preset import Shares
 from jaxftc.scenarios.preset_file import load_preset
@@ -44,7 +44,16 @@ def test_a_contact_has_its_place_direction_size_and_times(healthy):
     values |= {"onset": 0.1, "clear": 0.3, "rise": 0.02, "period": math.inf, "duty": 1.0}
     for name, leaf in found._asdict().items():
         np.testing.assert_allclose(leaf, values[name], err_msg=name)
-    assert healthy.contact.size == 0
+    assert healthy.contact is None
+
+
+def test_a_set_has_contacts_only_where_one_of_it_has(small, healthy):
+    assert stack([healthy, healthy.with_actuator_bias(1, 8.0, 0.1)]).contact is None
+    mixed = stack([healthy, healthy.with_contact(2, 30.0, 0.1)]).contact
+    assert mixed.link.tolist() == [0, 2] and mixed.size.tolist() == [0.0, 30.0]
+    for preset, there in (("standard", False), ("contact", True)):
+        drawn = jaxftc.sample_scenarios(jax.random.key(0), 4, preset, config=small)
+        assert (drawn.contact is not None) is there
 
 
 def test_one_for_a_set_and_one_for_each_of_it(healthy):
@@ -79,7 +88,7 @@ def test_what_no_contact_can_be_is_refused(healthy, arguments, said):
 def test_a_simulation_refuses_what_no_contact_is(small, healthy):
     gains = jaxftc.default_gains(small)
     for wrong, said in (({"size": -1.0}, "not negative"), ({"link": -1}, "link's number"), ({"axis": jnp.ones(2)}, "shape")):
-        contact = healthy.contact._replace(**{name: jnp.asarray(value) for name, value in wrong.items()})
+        contact = no_contact()._replace(**{name: jnp.asarray(value) for name, value in wrong.items()})
         with pytest.raises(ValueError, match=said):
             jaxftc.simulate(small, gains, healthy._replace(contact=contact), jax.random.key(0))
 
@@ -99,7 +108,7 @@ def test_drawn_contacts_keep_their_law(drawn):
 
 
 def test_what_calibration_runs_on_has_no_contact(drawn):
-    assert not without_faults(drawn).contact.size.any()
+    assert without_faults(drawn).contact is None
 
 
 def test_a_preset_needs_the_law_of_what_it_draws(small):

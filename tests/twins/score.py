@@ -16,7 +16,7 @@ def truth(config, scenario):
                 wanted[j] += bit
                 faults.append((fault.onset[j], fault.clear[j]))
     contact = scenario.contact
-    if contact.size > 0 and contact.link > 0 and contact.onset <= last:
+    if contact is not None and contact.size > 0 and contact.link > 0 and contact.onset <= last:
         wanted[: contact.link] += 8
         faults.append((contact.onset, contact.clear))
     if not faults:
