@@ -1,16 +1,21 @@
-"""JAX in double precision, a persistent compilation cache, and hypothesis without chance."""
+"""JAX in double precision, a persistent compilation cache, hypothesis without chance, and few passes of the collector."""
+
+import gc
 
 import hypothesis
 import jax
 import pytest
 
 import jaxftc
+from jaxftc.cli.common import MANY_OBJECTS
 from tests.arms import two_hinges
 
 jax.config.update("jax_enable_x64", True)  # float32 tests say so with jax.enable_x64(False)
 
 hypothesis.settings.register_profile("deterministic", derandomize=True, deadline=None, database=None, max_examples=50)
 hypothesis.settings.load_profile("deterministic")
+
+gc.set_threshold(*MANY_OBJECTS)  # as the commands do
 
 
 def pytest_configure(config):

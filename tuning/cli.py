@@ -84,6 +84,7 @@ class Tune(common.Options):
             common.prepare(self, many=True, devices=True)
             self._run()
             return
+        common.quiet_xla()
         from jaxftc.compile import processes
 
         line = processes.begin(processes.place(self.coordinator, self.processes, self.process))

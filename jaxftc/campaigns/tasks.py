@@ -96,8 +96,8 @@ def _versions() -> str:
 
 
 def _keep_some(running: dict[Future[str], store.Chunk], tell: Callable[[int], object]) -> None:
-    """Wait for a chunk, or for several that end together, and have them count."""
-    for future in wait(running, return_when=FIRST_COMPLETED).done:
+    """Wait for a chunk, or several that end together, and have them count; then comes the error of one of them."""
+    for future in sorted(wait(running, return_when=FIRST_COMPLETED).done, key=lambda done: done.exception() is not None):
         chunk = running.pop(future)
         store.keep(chunk, future.result())
         tell(chunk.rows)

@@ -95,6 +95,14 @@ def _import_mujoco() -> None:
         del os.environ["MUJOCO_GL"]
 
 
+def quiet_xla() -> None:
+    """Leave out what XLA logs, before JAX is imported.
+
+    It warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
+    """
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+
+
 def prepare(
     options: Output,
     *,
@@ -108,9 +116,8 @@ def prepare(
     ``many`` is for commands that run many scenarios side by side: ``configure_xla``. Programs for single arms take longer to
     compile with it. ``engine`` is what they run on, if not the options'. ``devices`` makes each core a device, for commands
     that spread one program over them. ``platform`` is where JAX runs, if not where it would.
-    XLA warns at length when a cached program was compiled with its own tuning hints, which no machine reports as features.
     """
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    quiet_xla()
     gc.set_threshold(*MANY_OBJECTS)
     _import_mujoco()
     import jax

@@ -57,6 +57,23 @@ class State(NamedTuple):
         return self.command.tau
 
 
+class Found(NamedTuple):
+    """What blocks 5 to 7 find."""
+
+    residual: residuals.Residuals
+    threshold_tau: Array  # [n, ...] N m
+    statistic: statistics.Statistics
+    decision: decision.Decision
+    contact: contact.Found
+
+
+class Arm(NamedTuple):
+    """The nominal arm where the observer sees it."""
+
+    pose: rigid_body.Pose
+    mass: MassMatrix
+
+
 class Applied(NamedTuple):
     """What the last command did to the arm, Eqs. (2), (3)."""
 
@@ -107,25 +124,27 @@ def step(
     on = stages_of(config) if stages is None else stages
     applied = _applied(config, state, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.apply_input(gains, state.observer, applied.u)  # line 1
-    reading = cascade.Reading(measurement.q, applied.qdd_hat, state.sensors)
-    observer, seen = cascade.correct(config, gains, observer, reading, on)  # lines 2 to 4, 7
-    at = rigid_body.pose(config.robot, seen.q_hat)
-    mass = dynamics.nominal_mass(config.robot, at)
-    residual = residuals.generate(mass, seen)  # line 5
+    observer, seen = cascade.correct(config, gains, observer, _reading(state, applied, measurement), on)  # lines 2 to 4, 7
+    arm = _arm(config, seen)
+    residual = residuals.generate(arm.mass, seen)  # line 5
     level = threshold.of_reference(config.robot, gains.diagnosis, reference)
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
     known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
     control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
-    learning, learned = _learn(config, gains, state, at, mass, seen, law, psi, reference)
-    command = _command(config, at, mass, control, law, reference, learned, on)  # lines 10 to 12
-    real, watched = _watched(gains, state.sensors, mass, seen, residual, on)
-    means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
-    statistic = _trusted(statistic, learned)
-    inputs = decision.Inputs(statistic, level, real, seen, law.qd_hat, applied.qdd)
-    decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
-    judged = contact.judge(config, contact.Inputs(at, statistic.tau, level, said.verdict))
-    state = State(observer, means, decided, control, said.sensors, command, seen.psi, known, learning)
-    return state, _report(config, gains, seen, residual, statistic, level, said, judged, law, command)
+    learning, learned = _learn(config, gains, state, arm, seen, law, psi, reference)
+    command = _command(config, arm, control, law, reference, learned, on)  # lines 10 to 12
+    means, decided, found = _diagnose(config, gains, state, arm, seen, residual, level, law.qd_hat, applied.qdd, learned, on)
+    state = State(observer, means, decided, control, found.decision.sensors, command, seen.psi, known, learning)
+    return state, _report(config, gains, seen, found, law, command)
+
+
+def _reading(state: State, applied: Applied, measurement: Measurement) -> cascade.Reading:
+    return cascade.Reading(measurement.q, applied.qdd_hat, state.sensors)
+
+
+def _arm(config: Config, seen: Estimate) -> Arm:
+    pose = rigid_body.pose(config.robot, seen.q_hat)
+    return Arm(pose, dynamics.nominal_mass(config.robot, pose))
 
 
 @box("What the last command did, Eqs. (2), (3)")
@@ -165,8 +184,7 @@ def _learn(
     config: Config,
     gains: Gains,
     state: State,
-    at: rigid_body.Pose,
-    mass: MassMatrix,
+    arm: Arm,
     seen: Estimate,
     law: sliding_mode.Command,
     psi: Array,
@@ -177,10 +195,10 @@ def _learn(
         return None, None
     alarms = state.decision.alarm
     inputs = adaptation.Inputs(
-        torque=mass.matvec(seen.psi + adaptation.not_in_psi(config, gains) * seen.e),
+        torque=arm.mass.matvec(seen.psi + adaptation.not_in_psi(config, gains) * seen.e),
         qd=law.qd_hat,
         alarmed=alarms.tau + alarms.q + state.sensors.suspect > 0,
-        columns=adaptation.columns(config, gains, at, law.qd_hat, law.qdd + psi, reference.qd),
+        columns=adaptation.columns(config, gains, arm.pose, law.qd_hat, law.qdd + psi, reference.qd),
     )
     return adaptation.step(config, gains, state.adaptation, inputs)
 
@@ -188,8 +206,7 @@ def _learn(
 @box("The command, Algorithm 1, lines 10 to 12")
 def _command(
     config: Config,
-    at: rigid_body.Pose,
-    mass: MassMatrix,
+    arm: Arm,
     control: sliding_mode.State,
     law: sliding_mode.Command,
     reference: Reference,
@@ -198,11 +215,37 @@ def _command(
 ) -> LastCommand:
     """Torque before the limits that makes the commanded acceleration, by one Newton-Euler pass."""
     robot = config.robot
-    at = at if on.raw is False else rigid_body.pose(robot, control.q)
+    at = arm.pose if on.raw is False else rigid_body.pose(robot, control.q)
     tau = dynamics.nominal_torque(robot, at, law.qd_hat, law.qdd)
     tau = tau + dynamics.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
     tau = tau if learned is None else tau + learned.tau
-    return LastCommand(tau, law.qdd, mass.packed(tau))
+    return LastCommand(tau, law.qdd, arm.mass.packed(tau))
+
+
+def _diagnose(
+    config: Config,
+    gains: Gains,
+    state: State,
+    arm: Arm,
+    seen: Estimate,
+    residual: residuals.Residuals,
+    level: Array,
+    qd: Array,
+    qdd: Array,
+    learned: adaptation.Correction | None,
+    on: Stages,
+) -> tuple[statistics.State, decision.State, Found]:
+    """Blocks 6 and 7: statistics against thresholds ``level`` [n, ...] N m, each joint's verdict, and a contact of several.
+
+    qd [n, ...] rad/s is the speed, qdd [n, ...] rad/s^2 the acceleration without the estimated fault.
+    """
+    real, watched = _watched(gains, state.sensors, arm.mass, seen, residual, on)
+    means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
+    statistic = _trusted(statistic, learned)
+    inputs = decision.Inputs(statistic, level, real, seen, qd, qdd)
+    decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
+    judged = contact.judge(config, contact.Inputs(arm.pose, statistic.tau, level, said.verdict))
+    return means, decided, Found(residual, level, statistic, said, judged)
 
 
 @box("Block 6: what is watched")
@@ -233,16 +276,12 @@ def _report(
     config: Config,
     gains: Gains,
     seen: Estimate,
-    residual: residuals.Residuals,
-    statistic: statistics.Statistics,
-    threshold_tau: Array,
-    said: decision.Decision,
-    judged: contact.Found,
+    found: Found,
     law: sliding_mode.Command,
     command: LastCommand,
 ) -> Output:
     """What the tick says."""
-    tau = command.tau
+    tau, residual, statistic, judged = command.tau, found.residual, found.statistic, found.contact
     return Output(
         tau=smooth.saturate(tau, lanes.trailing_constant(config.robot.torque_limit, tau)),
         fault_tau_hat=residual.tau,
@@ -251,11 +290,11 @@ def _report(
         residual_q=residual.q,
         statistic_tau=statistic.tau,
         statistic_q=statistic.q,
-        threshold_tau=threshold_tau,
+        threshold_tau=found.threshold_tau,
         threshold_q=jnp.broadcast_to(gains.diagnosis.alpha_q, tau.shape),
         verdict=judged.verdict,
         detected=(judged.verdict > 0).any(0),
-        suspect=said.sensors.suspect,
+        suspect=found.decision.sensors.suspect,
         q_hat=seen.q_hat,
         qd_hat=law.qd_hat,
         s=law.s,

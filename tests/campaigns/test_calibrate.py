@@ -21,7 +21,7 @@ from jaxftc.campaigns.calibrate import (
 )
 from jaxftc.io.tables import write_parquet
 from jaxftc.scenarios.scenario import paper_scenario
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def config(puma):
 
 @pytest.fixture(scope="module")
 def small():
-    return jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory):
     """A simulated healthy run as a user would have it: a log of 1 s at 1 kHz."""
-    config = jaxftc.Config(three_hinges(), engine="chain", duration=1.0)
+    config = jaxftc.Config(two_hinges(), engine="chain", duration=1.0)
     trace = jaxftc.simulate(config, jaxftc.default_gains(config), paper_scenario("healthy", config), jax.random.key(63))
     columns = {"t": np.asarray(trace.t)}
     columns |= {f"q{j + 1}": np.ascontiguousarray(trace.y[:, j]) for j in range(config.n)}

@@ -21,7 +21,7 @@ from jaxftc.gains import specs
 from jaxftc.io.folder import MARK, taken
 from jaxftc.scenarios.preset_file import as_dict, load_preset
 from jaxftc.scenarios.presets import PRESET_NAMES
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 from tuning import checkpoint
 
 CASES = {"options": 300, "gains": 600, "presets": 600, "logs": 300, "files": 300}
@@ -52,7 +52,7 @@ def one_line(error: BaseException, *where: object) -> None:
 
 @pytest.fixture(scope="module")
 def config():
-    return jaxftc.Config(three_hinges(), engine="chain")
+    return jaxftc.Config(two_hinges(), engine="chain")
 
 
 # Options.

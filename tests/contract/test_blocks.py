@@ -23,9 +23,9 @@ from jaxftc.scenarios.reference import cubic
 from jaxftc.scenarios.scenario import CONDITIONS
 from jaxftc.types import Verdict
 from jaxftc.variants import SCHEMES
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
-N, ALL = three_hinges().n, tuple(range(6))  # joints: of the arm of the contract; of the PUMA, which the rest runs on
+N, ALL = two_hinges().n, tuple(range(6))  # joints: of the arm of the contract; of the PUMA, which the rest runs on
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Block:
     change: tuple[tuple[str, Any], ...] = ()  # what differs in the config
 
     def config(self) -> jaxftc.Config:
-        return jaxftc.Config(three_hinges(), engine="chain", **dict(self.change))
+        return jaxftc.Config(two_hinges(), engine="chain", **dict(self.change))
 
     def init(self, gains, q):
         return self.module.init(self.config(), align(gains, q.ndim - 1), q)
@@ -189,8 +189,8 @@ def test_one_trace_and_the_same_numbers_as_without_jit(block):
     chex.assert_tree_all_finite((state, without_thresholds(info)))
 
 
-# The filter's gradient and its vmap take a minute to compile; the pair of everything has the stages of the two others.
-QUICK = [few for few in FEW if few.name not in ("ekf", PAIRS[0].name, PAIRS[4].name)]
+# The filter's gradient and its vmap take a minute to compile; the pair of everything has the stages of the others.
+QUICK = [few for few in FEW if few.name in (PAIRS[8].name, "momentum", "computed_torque")]
 
 
 @each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])

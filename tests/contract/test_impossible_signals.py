@@ -11,7 +11,7 @@ import jaxftc
 from jaxftc.compile.jit import jit
 from jaxftc.robot import dynamics
 from jaxftc.schemes import registry
-from tests.arms import three_hinges
+from tests.arms import three_hinges, two_hinges
 
 SECOND = 1000  # ticks
 
@@ -174,11 +174,11 @@ def spoil(state, broken):
     return jax.tree.unflatten(tree, leaves)
 
 
-def survives(scheme, scenarios, ticks):
+def survives(scheme, robot, scenarios, ticks):
     with jax.enable_x64(False):
-        config = jaxftc.Config(three_hinges(), engine="chain", scheme=scheme)
+        config = jaxftc.Config(robot, engine="chain", scheme=scheme)
         gains, until = jaxftc.default_gains(config), ticks - SECOND - SECOND // 2
-        q = jnp.tile(jnp.asarray([[0.3], [0.5], [-0.4]], jnp.float32), scenarios)
+        q = jnp.tile(jnp.asarray([[0.3], [0.5], [-0.4]], jnp.float32)[: config.n], scenarios)
         limit = config.robot.torque_limit[:, None] * (1 + 1e-6)
 
         def run(config, gains, q):
@@ -200,7 +200,7 @@ def survives(scheme, scenarios, ticks):
 
 @pytest.mark.parametrize("scheme", ["cascade", "momentum", "ekf", "computed_torque"])
 def test_every_scheme_lives_through_everything_at_once(scheme):
-    survives(scheme, 64, 2500)
+    survives(scheme, two_hinges(), 64, 2500)
 
 
 @pytest.mark.slow
@@ -208,4 +208,4 @@ def test_every_scheme_lives_through_everything_at_once(scheme):
     ("scheme", "scenarios"), [("cascade", 1000), ("momentum", 200), ("ekf", 200), ("computed_torque", 200)]
 )
 def test_ten_million_ticks_of_everything_at_once(scheme, scenarios):
-    survives(scheme, scenarios, 10_000)
+    survives(scheme, three_hinges(), scenarios, 10_000)

@@ -26,7 +26,7 @@ from jaxftc.gains import align
 from jaxftc.observer import arx, cascade, laguerre, stability
 from jaxftc.scenarios import reference
 from jaxftc.types import Reference
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
 POLES = st.floats(-0.95, 0.95)
 DT = 1e-3
@@ -151,7 +151,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
     st.floats(0.01, 1),
 )
 def test_statistic_is_the_twin(r, z, w, leak):
-    config = jaxftc.Config(three_hinges(), engine="chain")
+    config = jaxftc.Config(two_hinges(), engine="chain")
     values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
     values |= {"rate": 10.0, "stiction": 0.0} | dict.fromkeys(threshold.FOLLOW, 0.0)
     own = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})

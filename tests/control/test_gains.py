@@ -9,6 +9,7 @@ import jaxftc
 from jaxftc.gains import NAMES
 from jaxftc.scenarios.scenario import stack, trail
 from jaxftc.simulation.closed_loop import rollout
+from tests.arms import two_hinges
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +77,10 @@ def test_it_composes_with_jit_grad_and_vmap(gains):
     np.testing.assert_array_equal(many, [21.0, 42.0])
 
 
-def test_gains_may_have_the_scenarios_axis(config, gains):
+def test_gains_may_have_the_scenarios_axis():
     """Gains of two scenarios at once are those of one after the other."""
+    config = jaxftc.Config(two_hinges(), engine="chain", duration=0.02)
+    gains = jaxftc.default_gains(config)
     scenario = jaxftc.paper_scenario("actuator", config, scenario_id=3)
     two = trail(stack([scenario, scenario]))
     both = rollout(config, gains.replace({"control.lam": [[15.0, 30.0]]}), two, jax.random.key(0))

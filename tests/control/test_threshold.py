@@ -23,14 +23,14 @@ from jaxftc.diagnosis import threshold
 from jaxftc.gains import align
 from jaxftc.robot.mujoco_model import PAYLOAD
 from jaxftc.schemes import diagnoser
-from tests.arms import three_hinges
+from tests.arms import two_hinges
 
 SHARES = dict(zip(threshold.GAINS, (0.3, 0.02, 0.5, 0.1, 0.4), strict=True))
 
 
 @pytest.fixture(scope="module")
 def small():
-    return jaxftc.Config(three_hinges(), engine="chain", duration=0.4)
+    return jaxftc.Config(two_hinges(), engine="chain", duration=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_it_is_the_sum_as_it_is_written_with_torques_of_mujoco(puma):
 def test_without_shares_it_is_the_constant_to_the_last_bit(small, constant):
     for dtype in (np.float32, np.float64):
         gains = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf), dtype), constant)  # noqa: B023
-        got = level(small, gains, *(x.astype(dtype) for x in motions(3)))
+        got = level(small, gains, *(x.astype(dtype) for x in motions(2)))
         np.testing.assert_array_equal(got, np.broadcast_to(np.asarray(gains.diagnosis.alpha_tau)[:, None], got.shape))
 
 
@@ -93,7 +93,7 @@ def test_a_program_of_constant_thresholds_does_not_look_at_the_motion(small, con
     def step(gains, q):
         return threshold.of_reference(small.robot, align(gains, 1).diagnosis, jaxftc.Reference(q, q, q))
 
-    q, known = jnp.ones((3, 4)), threshold.known_constant(constant)
+    q, known = jnp.ones((2, 4)), threshold.known_constant(constant)
     programs = [str(jax.make_jaxpr(functools.partial(step, gains))(q)) for gains in (known, following)]
     assert ["tanh" in program for program in programs] == [False, True]
     np.testing.assert_array_equal(step(known, q), step(constant, q))
@@ -107,7 +107,7 @@ def test_no_motion_lowers_a_threshold(small, constant, shares, seed, more):
     """Never below the constant, and no lower where the joints are faster at the same angles."""
     of_all, (of_speed, of_acceleration) = constant.replace(dict.fromkeys(threshold.GAINS, shares[0])), shares[1:]
     of_size = constant.replace({"diagnosis.follow_speed": of_speed, "diagnosis.follow_acceleration": of_acceleration})
-    q, qd, qdd = motions(3, 5, seed)
+    q, qd, qdd = motions(2, 5, seed)
     alpha = np.asarray(constant.diagnosis.alpha_tau)[:, None]
     assert (level(small, of_all, q, qd, qdd) >= alpha).all()
     one, other = level(small, of_size, q, qd, qdd), level(small, of_size, q, more * qd, more * qdd)
@@ -116,18 +116,18 @@ def test_no_motion_lowers_a_threshold(small, constant, shares, seed, more):
 
 def test_a_negative_share_is_refused(small, constant):
     with pytest.raises(ValueError, match=r"diagnosis.follow_speed must lie in \[0, inf\) s/rad"):
-        jaxftc.init(small, constant.replace({"diagnosis.follow_speed": -0.1}), np.zeros(3))
+        jaxftc.init(small, constant.replace({"diagnosis.follow_speed": -0.1}), np.zeros(2))
 
 
 def test_its_gradient_is_that_of_differences(small, following):
     """In the shares, the threshold at rest and the motion, away from where a size has its corner."""
-    q, qd, qdd = (jnp.asarray(x) for x in motions(3, 2, 3))
+    q, qd, qdd = (jnp.asarray(x) for x in motions(2, 2, 3))
 
     def cost(shares, alpha, qd, qdd):
         gains = following.replace(dict(zip(threshold.GAINS, shares, strict=True)) | {"diagnosis.alpha_tau": alpha})
         return (threshold.torque(align(gains, 1).diagnosis, threshold.motion(small.robot, q, qd, qdd)) ** 2).sum()
 
-    at = jnp.asarray(list(SHARES.values())), jnp.asarray([1.0, 2.0, 3.0]), qd, qdd
+    at = jnp.asarray(list(SHARES.values())), jnp.asarray([1.0, 2.0]), qd, qdd
     check_grads(cost, at, order=1, modes=("fwd", "rev"), atol=1e-5, rtol=1e-5)
 
 
@@ -165,9 +165,9 @@ def test_the_alarm_is_that_of_the_moving_threshold(runs, small):
 
 
 def test_the_compiled_tick_says_the_same(small, following):
-    q, qd, qdd = (x[:, 0] for x in motions(3))
+    q, qd, qdd = (x[:, 0] for x in motions(2))
     tick = jaxftc.Tick(small, following)
-    _, out = tick.step(tick.init(q), jaxftc.Reference(q, qd, qdd), jaxftc.Measurement(q, np.zeros(3)))
+    _, out = tick.step(tick.init(q), jaxftc.Reference(q, qd, qdd), jaxftc.Measurement(q, np.zeros(2)))
     np.testing.assert_allclose(out.threshold_tau, level(small, following, q, qd, qdd), rtol=1e-9)
 
 
@@ -180,9 +180,9 @@ def test_follow_needs_a_share_of_false_alarms(capsys):
 @pytest.mark.parametrize("scheme", ["momentum", "ekf"])
 def test_the_baselines_have_it_too(small, following, scheme):
     config = dataclasses.replace(small, scheme=scheme)
-    q, qd, qdd = (x[:, 0] for x in motions(3))
+    q, qd, qdd = (x[:, 0] for x in motions(2))
     state = jaxftc.init(config, following, q)
-    _, out = jaxftc.step(config, following, state, jaxftc.Reference(q, qd, qdd), jaxftc.Measurement(q, np.zeros(3)))
+    _, out = jaxftc.step(config, following, state, jaxftc.Reference(q, qd, qdd), jaxftc.Measurement(q, np.zeros(2)))
     np.testing.assert_allclose(out.threshold_tau, level(small, following, q, qd, qdd))
 
 
@@ -269,7 +269,7 @@ def test_they_are_lower_at_rest_and_constant_ones_are_as_before(calibrated, smal
 @pytest.fixture(scope="module")
 def beside():
     """A diagnosis at 100 Hz whose thresholds rise steeply with the motion."""
-    config = jaxftc.Config(three_hinges(), dt=0.01, t_final=0.01, engine="chain")
+    config = jaxftc.Config(two_hinges(), dt=0.01, t_final=0.01, engine="chain")
     return config, jaxftc.default_gains(config).replace(
         {"diagnosis.follow_speed": 1.0, "diagnosis.follow_acceleration": 0.05}
     )
@@ -278,7 +278,7 @@ def beside():
 def watched(config, gains, push):
     """What is said of an arm that swings by itself, its torque known but for ``push`` N m on the first joint from 2 s on."""
     robot, t = config.robot, np.arange(400) * config.dt
-    wave = 0.4 * np.array([1.0, 0.7, 0.5])[:, None]
+    wave = 0.4 * np.array([1.0, 0.7])[:, None]
     q, qd, qdd = (wave * x for x in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)))
     tau = np.array(jaxftc.inverse_dynamics(robot, *map(jnp.asarray, (q, qd, qdd))))
     tau[0, 200:] -= push
@@ -291,7 +291,7 @@ def test_the_diagnoser_follows_the_motion_and_an_alarm_holds_the_threshold_down(
     config, gains = beside
     alpha, rate = np.asarray(gains.diagnosis.alpha_tau), float(gains.diagnosis.rate[0])
     calm, qd = watched(config, gains, 0.0)
-    low = np.zeros(3)
+    low = np.zeros(2)
     for k, speed in enumerate(np.abs(qd)):  # the speed alone, low-passed as the residual is
         low = low - np.expm1(-rate * config.dt) * (speed - low)
         if k > 100:

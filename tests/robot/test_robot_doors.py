@@ -188,6 +188,7 @@ def test_what_a_urdf_says_about_its_joints(tmp_path):
     np.testing.assert_allclose(robot.coulomb_positive, [0.3, 0])
 
 
+@pytest.mark.slow
 def test_a_loaded_arm_runs_the_whole_loop(tmp_path):
     """Seven joints without torque limits: nothing in the controller is made for six.
 

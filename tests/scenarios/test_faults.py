@@ -33,12 +33,20 @@ def start(tau=0.0, y=0.0):
     return fault_injection.init(jnp.full(2, float(tau)), jnp.full(2, float(y)), jnp.zeros(2))
 
 
+@jax.jit
+def delivered(law, state, t, tau):
+    return fault_injection.deliver(law, state, t, tau, LIMIT, MOTION)
+
+
+was_read = jax.jit(fault_injection.read)  # once for all kinds and times: they are data
+
+
 def deliver(law, tau, t, last=3.0):
-    return np.asarray(fault_injection.deliver(law, start(last), jnp.asarray(t), jnp.full(2, float(tau)), LIMIT, MOTION)[1])
+    return np.asarray(delivered(law, start(last), jnp.asarray(t), jnp.full(2, float(tau)))[1])
 
 
 def read(law, q, t, noise=0.0, last=0.7):
-    _, y, truth = fault_injection.read(law, start(y=last), jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
+    _, y, truth = was_read(law, start(y=last), jnp.asarray(t), jnp.full(2, float(q)), jnp.full(2, float(noise)))
     return np.asarray(y), np.asarray(truth)
 
 
@@ -96,7 +104,7 @@ def test_dropout_is_no_reading_and_no_false_truth():
 def test_stuck_and_frozen_keep_what_was_there_at_onset():
     law, state = fault(Actuator.STUCK, 0.0), start()
     for k in range(30):
-        state, tau = fault_injection.deliver(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)), LIMIT, MOTION)
+        state, tau = delivered(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)))
     np.testing.assert_array_equal(tau, 9.0)  # onset at 0.1 s: the tick before carried 9
 
 
@@ -118,17 +126,12 @@ def test_intermittent_fault_comes_and_goes():
 
 
 def test_magnitudes_have_gradients():
+    def torque(size, law):
+        return delivered(law._replace(magnitude=size), start(1.0, 1.0), jnp.asarray(0.2), jnp.full(2, 8.0))[1].sum()
+
+    slope = jax.jit(jax.grad(torque))
     for kind in (Actuator.BIAS, Actuator.LOSS, Actuator.SATURATION, Actuator.GAIN, Actuator.RIPPLE, Actuator.FRICTION):
-        gradient = jax.grad(
-            lambda m, k=kind: fault_injection.deliver(
-                fault(k, 0.5)._replace(magnitude=m),
-                start(1.0, 1.0),
-                jnp.asarray(0.2),
-                jnp.full(2, 8.0),
-                LIMIT,
-                MOTION,
-            )[1].sum()
-        )(jnp.full(2, 0.5))
+        gradient = slope(jnp.full(2, 0.5), fault(kind, 0.5))
         assert np.isfinite(gradient).all() and gradient[0] != 0
 
 
@@ -138,8 +141,8 @@ def test_a_late_signal_is_the_one_of_that_many_ticks_ago(ticks):
     state, clear = start(-1.0, -1.0), jnp.inf
     for k in range(12):
         now, t = jnp.full(2, float(k)), jnp.asarray(k * 0.01)
-        state, tau = fault_injection.deliver(commands._replace(clear=clear), state, t, now, LIMIT, MOTION)
-        state, y, _ = fault_injection.read(readings._replace(clear=clear), state, t, now, jnp.zeros(2))
+        state, tau = delivered(commands._replace(clear=clear), state, t, now)
+        state, y, _ = was_read(readings._replace(clear=clear), state, t, now, jnp.zeros(2))
         wanted = k - ticks if k >= ticks else -1.0
         np.testing.assert_array_equal((tau, y), wanted)
 

@@ -234,7 +234,7 @@ def two(tune, port, out, cores, *words):
 
 def finish(process):
     printed, said = process.communicate(timeout=900)
-    assert process.returncode == 0, said
+    assert process.returncode == 0 and "Machine type" not in said, said  # which XLA says of its own cached programs
     return printed
 
 
