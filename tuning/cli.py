@@ -185,7 +185,9 @@ class Tune(common.Options):
         with results.folder(self, "tune", goes_on=True) as folder:
             if self.force:
                 (folder / checkpoint.NAME).unlink(missing_ok=True)
-            if self.out is None:
+            if (folder / checkpoint.NAME).exists():
+                common.say(self, f"Resuming from {folder / checkpoint.NAME}; --force starts anew")
+            elif self.out is None:
                 common.say(self, f"To resume after a stop: the same command with --out {shlex.quote(str(folder))}")
             yield folder
 

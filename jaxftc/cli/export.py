@@ -97,5 +97,7 @@ def table(name: str, found: Compared) -> str:
     lines += [f"{kind:22}{error:36.1e}" for kind, error in found.error.items()]
     if found.learned:
         lines.append(f"\nwhat is learned of the arm {found.learned:.1e}, allowed {found.learned_tolerance:g}")
+    if found.counted:
+        lines.append(f"\nticks in which a counter differs {found.counted}, allowed {found.counted_tolerance}")
     lines.append(f"\nallowed {found.tolerance:g}; verdicts that differ: {found.verdicts}; worst signal: {found.worst}")
     return "\n".join([*lines, "the same\n" if found.met else "NOT THE SAME\n"])

@@ -245,7 +245,7 @@ def test_tune_killed_and_resumed_is_tune_left_alone(tmp_path):
     assert victim.wait() == -signal.SIGKILL
     assert not (killed / "run" / "gains.toml").exists()
     done = run(TINY, killed)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0 and "Resuming from run/checkpoint.npz; --force" in done.stderr, done.stderr
     assert (killed / "run" / "gains.toml").read_bytes() == (alone / "run" / "gains.toml").read_bytes()
     done = run([*TINY, "--learning-rate", "0.05"], killed)
     assert done.returncode == 2 and "learning_rate 0.1, here 0.05" in done.stderr
