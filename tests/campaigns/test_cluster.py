@@ -223,7 +223,8 @@ def of_ray(test):
     return pytest.mark.slow(test)
 
 
-LENGTH = ["-n", str(12 * spec.CHUNK), "--duration", "0.5", "--seed", "5", "--worst", "1"]
+MANY = 24  # chunks, of some seconds each: Ray takes a while to miss a node
+LENGTH = ["-n", str(MANY * spec.CHUNK), "--duration", "2", "--seed", "5", "--worst", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +237,8 @@ def command(tmp_path_factory):
     """Begin a campaign in a folder of its own; compiled programs stay in a cache of the module's own."""
     home = tmp_path_factory.mktemp("home")
     (home / "arm.xml").write_text(serial(2))
-    environment = os.environ | {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TF_")}  # JAX sets one where it is imported
+    environment |= {"XDG_CACHE_HOME": str(home), "PYTHONPATH": str(Path(__file__).parents[2])}
 
     def call(out, *words):
         every = [
@@ -310,7 +312,7 @@ def test_a_worker_and_then_a_node_are_killed(nodes, command, tmp_path):
     killed_at = there()
     until(lambda: there() >= killed_at + 2 and workers_of(second))
     both.remove_node(second, allow_graceful=False)
-    assert there() < 12
+    assert there() < MANY / 2, "there is time to see that the node is gone"
     said = finish(running)
     assert "nodes 1, cores 1" in said and "Traceback" not in said
 
@@ -318,7 +320,7 @@ def test_a_worker_and_then_a_node_are_killed(nodes, command, tmp_path):
     times = {"summary.json", "report.html"}
     assert one.keys() == run.keys()
     assert {name for name in one if one[name] != run[name]} <= times
-    np.testing.assert_array_equal(store.read_rows(out, 12 * spec.CHUNK)["scenario_id"], np.arange(12 * spec.CHUNK))
+    np.testing.assert_array_equal(store.read_rows(out, MANY * spec.CHUNK)["scenario_id"], np.arange(MANY * spec.CHUNK))
     found = [json.loads(each["summary.json"]) for each in (one, run)]
     for each in found:
         for name in ("scenario_steps_per_s", "provenance"):
