@@ -473,7 +473,7 @@ def provoke(cause, loop, arm):
         arm.taking = lambda k, tau: arm.data.qfrc_bias.copy()
     elif cause == "verdict":
         loop.trips = realtime.Trips(missed=math.inf, verdicts=(Verdict.SENSOR, Verdict.BOTH))
-        arm.reading = lambda k, q: q + np.deg2rad(0.5) * late() * np.eye(6)[1]
+        arm.reading = lambda k, q: q + np.deg2rad(1.5) * late() * np.eye(6)[1]  # the threshold is 1 deg
     elif cause == "error":
         loop.reference = lambda t: sweep(t) if t < ONSET else None
     elif cause == "asked":
