@@ -45,10 +45,10 @@ CAMPAIGN = [
     Row(2, 50, 255, observer="eso", control="esmc"),
     Row(2, 50, 256, observer="eso_printed", control="smc"),
     Row(2, 50, 4096, observer="ts", control="afesmc"),
-    Row(2, 50, 257, "computed_torque"),
     Row(2, 5000, 2, "momentum"),
 ]
 LARGER_CAMPAIGN = [
+    Row(2, 50, 257, "computed_torque"),
     *(Row(joints, 1000, 257) for joints in (3, 4, 5, 6, 7)),
     Row(2, 5000, 2, "ekf"),
     *(Row(0, 1000, 300, "cascade", observer, control) for observer in OBSERVERS for control in CONTROLS),

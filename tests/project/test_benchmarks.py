@@ -269,7 +269,7 @@ def test_a_quick_run_is_no_baseline(option, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("torque", [5.0, 18.0])  # the second drives the wrist into its limits
-@pytest.mark.parametrize("coulomb", [False, True])
+@pytest.mark.parametrize("coulomb", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_loop_in_numpy_is_the_library_s(torque, coulomb):
     config = jaxftc.Config(jaxftc.puma560(coulomb=coulomb), engine="chain", duration=0.3)
     gains, scenario, key = (

@@ -334,8 +334,6 @@ def test_a_three_joint_arm():
     assert np.rad2deg(np.abs(scenarios.q_start)).max() <= 30
     bias = scenarios.fault_tau.magnitude[scenarios.fault_tau.kind == Actuator.BIAS]
     assert bias.size and np.abs(bias).min() >= 0.25 and np.abs(bias).max() <= 3.0
-    trace = jaxftc.simulate(config, jaxftc.default_gains(config), scenarios, jax.random.key(1))
-    assert np.isfinite(trace.q).all()
 
 
 def test_an_arm_with_fewer_joints_than_are_at_fault_at_once_has_all_at_fault():
