@@ -8,31 +8,49 @@ that of the moment again.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
+from jaxftc.config import Config
+from jaxftc.realtime.clock import Clock
 from jaxftc.realtime.deadlines import Deadlines
 from jaxftc.realtime.events import Events
-from jaxftc.realtime.reaction import names
-from jaxftc.realtime.robot import Stop, angles
+from jaxftc.realtime.reaction import Reaction, names
+from jaxftc.realtime.robot import Robot, Stop, angles
 from jaxftc.realtime.summary import Summary
-from jaxftc.realtime.trips import Trip, Watch
+from jaxftc.realtime.tick import Tick
+from jaxftc.realtime.trips import Trip, Trips, Watch
 from jaxftc.types import Measurement, Output, Reference
 from jaxftc.version import __version__
-
-if TYPE_CHECKING:
-    from jaxftc.realtime.loop import Loop
 
 MOST_CAUGHT_UP = 100  # ticks; after a longer gap the prediction is worth nothing
 LATE_START = 0.25  # of a period, at most: a reading that is late by more looks like a jump of the encoder, none does not
 
 
+class Parts(Protocol):
+    """What a run needs of its ``Loop``, where each is explained."""
+
+    config: Config
+    tick: Tick
+    robot: Robot
+    reference: Callable[[float], Reference]
+    trips: Trips
+    reaction: Reaction
+    stop: Stop
+    event_file: str | Path | None
+    on_tick: Callable[[float, Output], object] | None
+    clock: Clock
+    asked: str | None  # why to stop, once that is asked for
+
+
 class Run:
     """What changes while a loop runs: its ticks, one by one, and what became of it."""
 
-    def __init__(self, loop: Loop, state: Any, safe: Stop) -> None:
+    def __init__(self, loop: Parts, state: Any, safe: Stop) -> None:
         self._loop, self._state, self._safe = loop, state, safe
         self._nan: Any = np.full(loop.config.n, np.nan)
         self._nowhere = Reference(self._nan, self._nan, self._nan)  # every joint holds where it is

@@ -241,7 +241,8 @@ def _diagnose(
     """
     real, watched = _watched(gains, state.sensors, arm.mass, seen, residual, on)
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
-    statistic = _trusted(statistic, learned)
+    if learned is not None:  # less what may still be the model's
+        statistic = statistic._replace(tau=learned.trust * statistic.tau)
     inputs = decision.Inputs(statistic, level, real, seen, qd, qdd)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     judged = contact.judge(config, contact.Inputs(arm.pose, statistic.tau, level, said.verdict))
@@ -264,11 +265,6 @@ def _watched(
     real = mass.matvec(sensor_check.mask_suspect(sensors, seen.psi))
     ahead = mass.matvec(sensor_check.mask_suspect(sensors, gains.diagnosis.lead * seen.e))
     return real, statistics.Inputs(real + ahead, either(on.fuzzy, seen.b, residual.q))
-
-
-def _trusted(statistic: statistics.Statistics, learned: adaptation.Correction | None) -> statistics.Statistics:
-    """The torque statistic less what may still be the model's, where the arm is learned."""
-    return statistic if learned is None else statistic._replace(tau=learned.trust * statistic.tau)
 
 
 @box("The command within the torque limits")
