@@ -25,8 +25,8 @@ TOLERANCE = {"double": 1e-9, "float": 1e-4}  # of a signal, over its largest siz
 # count alone moves the learned numbers by up to 7e-4 of their size, so nothing in single precision can agree any better.
 LEARNED = "state.adaptation_phi"
 LEARNED_TOLERANCE = {"double": 1e-9, "float": 1e-3}
-# Share of ticks in which a counter may differ. A statistic that meets its threshold in all but the last digit of a float is
-# counted as over it by one program and not by another; in the next tick both start from the same state again.
+# Share of ticks in which a counter may differ. Statistics agree to TOLERANCE, so that one which is closer than that to its
+# threshold may be over it in one program and not in another; in the next tick both start from the same state again.
 COUNTED = {"double": 0.0, "float": 1e-5}
 SIZES: dict[str, tuple[float, float]] = {  # of a fault, in its unit; of a torque's bias over the joint's limit
     "actuator bias": (0.05, 0.3),

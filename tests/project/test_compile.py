@@ -255,16 +255,16 @@ def test_a_relative_cache_home_is_ignored(monkeypatch):
 @pytest.mark.parametrize(
     "observer", [*(pytest.param(o, marks=pytest.mark.slow) for o in ("pi", "eso", "eso_printed")), "ts"]
 )
-def test_stages_as_data_give_what_the_config_gives(short, observer):
+@pytest.mark.parametrize("control", ["smc", pytest.param("esmc", marks=pytest.mark.slow), "afesmc"])
+def test_stages_as_data_give_what_the_config_gives(short, observer, control):
     """One program for every observer and controller, against a program that knows which."""
-    for control in ("smc", "afesmc"):
-        config = dataclasses.replace(short, observer=observer, control=control)
-        gains, some = jaxftc.default_gains(config), scenarios(config, 2)
-        ours = rollout(config, gains, some, jax.random.key(0))
-        known = stages.Stages(*map(bool, stages.of(config)))
-        theirs = jax.jit(lambda *rest, c=config, k=known: run_loop(c, k, *rest))(gains, some, jax.random.key(0))
-        for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=jax.tree_util.keystr(path))
+    config = dataclasses.replace(short, observer=observer, control=control)
+    gains, some = jaxftc.default_gains(config), scenarios(config, 2)
+    ours = rollout(config, gains, some, jax.random.key(0))
+    known = stages.Stages(*map(bool, stages.of(config)))
+    theirs = jax.jit(lambda *rest: run_loop(config, known, *rest))(gains, some, jax.random.key(0))
+    for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(ours), jax.tree.leaves(theirs), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-9, err_msg=jax.tree_util.keystr(path))
 
 
 def test_observers_and_controllers_share_one_program(short):

@@ -336,6 +336,14 @@ def test_a_three_joint_arm():
     assert bias.size and np.abs(bias).min() >= 0.25 and np.abs(bias).max() <= 3.0
 
 
+@pytest.mark.slow
+def test_what_is_drawn_for_a_three_joint_arm_can_be_run():
+    config = jaxftc.Config(arm("three", 3), engine="chain", duration=0.02)
+    scenarios = jaxftc.sample_scenarios(jax.random.key(0), 300, preset="hard", config=config)
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), scenarios, jax.random.key(1))
+    assert np.isfinite(trace.q).all()
+
+
 def test_an_arm_with_fewer_joints_than_are_at_fault_at_once_has_all_at_fault():
     config = jaxftc.Config(arm("one", 1), engine="chain")
     scenarios = drawn(load_preset("hard"), config, 100)
