@@ -9,8 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
+
+from jax.custom_derivatives import SymbolicZero
 
 from jaxftc.numerics.barrier import stack as join
 from jaxftc.numerics.barrier import store
@@ -55,6 +58,32 @@ def add(*terms: Lane) -> Lane:
 def minus(a: Lane, b: Lane) -> Lane:
     """A - b."""
     return add(a, -b) if isinstance(a, float) or isinstance(b, float) else a - b
+
+
+def less_products(a: Lane, u: Sequence[Lane], v: Sequence[Lane]) -> Lane:
+    """A less the sum of products.
+
+    Its reverse negates what comes out of a product, not what comes in from behind: XLA subtracts the first while it adds up,
+    the other is an array of its own.
+    """
+    for x, y in zip(u, v, strict=True):
+        numbers = isinstance(x, float) or isinstance(y, float)
+        a = add(a, mul(mul(-1.0, x), y) if isinstance(x, float) else mul(x, mul(-1.0, y))) if numbers else _less(a, x, y)
+    return a
+
+
+@jax.custom_jvp
+def _less(a: Array, u: Array, v: Array) -> Array:
+    return a - u * v
+
+
+def _less_slopes(at: tuple[Any, Any, Any], change: tuple[Any, Any, Any]) -> tuple[Array, Any]:
+    (a, u, v), (da, du, dv) = at, change
+    parts = [x * -dx for x, dx in ((v, du), (u, dv)) if not isinstance(dx, SymbolicZero)]
+    return a - u * v, sum(parts, start=da) if not isinstance(da, SymbolicZero) else sum(parts[1:], start=parts[0])
+
+
+_less.defjvp(_less_slopes, symbolic_zeros=True)
 
 
 def dot(u: Sequence[Lane], v: Sequence[Lane]) -> Lane:

@@ -11,7 +11,7 @@ import jax
 
 from jaxftc.numerics.barrier import stack as join
 from jaxftc.numerics.barrier import unstack as lanes
-from jaxftc.robot.lanes import Lane, dot, minus, mul, stack
+from jaxftc.robot.lanes import Lane, dot, less_products, mul, stack
 from jaxftc.types import Array
 
 
@@ -75,9 +75,9 @@ def solve(matrix: list[list[Lane]], right: list[Lane]) -> list[Lane]:
         factors = _factors(at[0] | numbers, len(right))
         x, slopes = _substitute(factors, at[1]), list(change[1])
         for (i, j), slope in change[0].items():
-            slopes[i] = slopes[i] - slope * x[j]
+            slopes[i] = slopes[i] + x[j] * -slope
             if i != j:
-                slopes[j] = slopes[j] - slope * x[i]
+                slopes[j] = slopes[j] + x[i] * -slope
         return x, _substitute(factors, slopes)
 
     return solution({place: entry for place, entry in below.items() if place not in numbers}, right)
@@ -95,9 +95,9 @@ def _factors(below: dict[tuple[int, int], Lane], n: int) -> _Factors:
     scaled: list[list[Lane]] = [[0.0] * n for _ in range(n)]
     inverse: list[Lane] = [0.0] * n
     for j in range(n):
-        inverse[j] = 1.0 / minus(below[j, j], dot(low[j][:j], scaled[j][:j]))
+        inverse[j] = 1.0 / less_products(below[j, j], low[j][:j], scaled[j][:j])
         for i in range(j + 1, n):
-            scaled[i][j] = minus(below[i, j], dot(scaled[i][:j], low[j][:j]))
+            scaled[i][j] = less_products(below[i, j], scaled[i][:j], low[j][:j])
             low[i][j] = mul(scaled[i][j], inverse[j])
     return _Factors(low, inverse)
 
@@ -106,8 +106,8 @@ def _substitute(factors: _Factors, right: list[Lane]) -> list[Lane]:
     low, n = factors.low, len(right)
     x: list[Lane] = []
     for i in range(n):
-        x.append(minus(right[i], dot(low[i][:i], x)))
+        x.append(less_products(right[i], low[i][:i], x))
     x = [mul(part, inverse) for part, inverse in zip(x, factors.inverse, strict=True)]
     for i in reversed(range(n)):
-        x[i] = minus(x[i], dot([low[k][i] for k in range(i + 1, n)], x[i + 1 :]))
+        x[i] = less_products(x[i], [low[k][i] for k in range(i + 1, n)], x[i + 1 :])
     return x

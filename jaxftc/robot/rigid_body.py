@@ -14,7 +14,7 @@ import numpy as np
 from jaxftc.compile.box import box
 from jaxftc.numerics.barrier import unstack as lanes
 from jaxftc.numerics.trigonometry import cos_sin
-from jaxftc.robot.lanes import Lane, add, dot, minus, mul, trailing_constant
+from jaxftc.robot.lanes import Lane, add, dot, less_products, minus, mul, trailing_constant
 from jaxftc.robot.link import Link
 from jaxftc.robot.mass_matrix import MassMatrix
 from jaxftc.robot.model import Robot
@@ -99,12 +99,12 @@ def pose(robot: Robot, q: Array) -> Pose:
 
 def _turn(at: Pose, i: int, v: Vector) -> Vector:
     c, s = at.cos[i], at.sin[i]
-    return (minus(mul(c, v[0]), mul(s, v[1])), add(mul(s, v[0]), mul(c, v[1])), v[2])
+    return (less_products(mul(c, v[0]), [s], [v[1]]), add(mul(s, v[0]), mul(c, v[1])), v[2])
 
 
 def _unturn(at: Pose, i: int, v: Vector) -> Vector:
     c, s = at.cos[i], at.sin[i]
-    return (add(mul(c, v[0]), mul(s, v[1])), minus(mul(c, v[1]), mul(s, v[0])), v[2])
+    return (add(mul(c, v[0]), mul(s, v[1])), less_products(mul(c, v[1]), [s], [v[0]]), v[2])
 
 
 def _to_parent(robot: Robot, at: Pose, i: int, v: Vector) -> Vector:

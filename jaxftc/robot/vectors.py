@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxftc.robot.lanes import Lane, add, minus, mul
+from jaxftc.robot.lanes import Lane, add, less_products, minus, mul
 
 Vector = tuple[Lane, Lane, Lane]
 ZERO: Vector = (0.0, 0.0, 0.0)
@@ -29,7 +29,7 @@ def times(s: Lane, v: Vector) -> Vector:
 
 def cross(u: Vector, v: Vector) -> Vector:
     """Their vector product."""
-    return tuple(minus(mul(u[i], v[j]), mul(u[j], v[i])) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
+    return tuple(less_products(mul(u[i], v[j]), [u[j]], [v[i]]) for i, j in ((1, 2), (2, 0), (0, 1)))  # pyright: ignore[reportReturnType]
 
 
 def constant(values: np.ndarray) -> Any:
