@@ -17,7 +17,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 
 from jaxftc import checks
-from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Sensor
+from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Sensor, common
 from jaxftc.types import Array
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -218,7 +218,8 @@ def _with(
     checks.finite("magnitude", magnitude, "it is the size of the fault in the kind's unit")
     values = Fault(jnp.int32(kind), magnitude, **times_of(onset, law))  # pyright: ignore[reportArgumentType]
     leaves = zip(Fault._fields, getattr(scenario, channel), values, strict=True)
-    return scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
+    given = scenario._replace(**{channel: Fault(*(_set(name, leaf, joint, value, axes) for name, leaf, value in leaves))})
+    return given._replace(uncommon=()) if kind > common(type(kind)) and "uncommon" in given._fields else given
 
 
 def times_of(onset: ArrayLike, law: Law) -> dict[str, Any]:

@@ -173,6 +173,11 @@ class Sensor(Kind):
     CROSSTALK = 10, "1", lambda x: x.clean + x.size * jnp.roll(x.q, -1, axis=0)  # share of the next joint's angle added
 
 
+def common(kinds: type[Kind]) -> Kind:
+    """The last of a channel's common kinds; those after it need more memory or knowledge of the motion than a tick has."""
+    return Actuator.STUCK if kinds is Actuator else Sensor.NOISE
+
+
 # The law of its size in a preset.
 
 UNITS = {

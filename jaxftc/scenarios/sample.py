@@ -24,7 +24,7 @@ from jaxftc.robot.dynamics import Plant
 from jaxftc.scenarios import contact
 from jaxftc.scenarios.contact import Contact
 from jaxftc.scenarios.distributions import Law, scaled
-from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, kinds
+from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, common, kinds
 from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.reference import within_range
@@ -136,6 +136,7 @@ def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scen
         fault_q=_fault(angle, q_joints & ((condition == 2) | (condition == 3)), law),
         plant=Plant(mass, payload, armature, damping, coulomb, torque_constant),
         contact=_contact(preset, n, stream, condition == 4, law),
+        uncommon=_uncommon(preset),
     )
 
 
@@ -195,6 +196,13 @@ def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: d
         return None
     links = preset.contact.links or range(1, n + 1)
     return contact.draw(preset.contact, stream.apart(CONTACT, 8), list(links), there, law)
+
+
+def _uncommon(preset: Preset) -> tuple[()] | None:
+    """None if the preset has common kinds of fault only."""
+    channels = ((preset.actuator, Actuator), (preset.sensor, Sensor), (preset.sensor_in_both or preset.sensor, Sensor))
+    some = any(codes[name.upper()] > common(codes) for channel, codes in channels for name in kinds(channel))
+    return () if some else None
 
 
 def _fault(drawn: Array, joints: Array, law: dict[str, Array]) -> Fault:

@@ -43,6 +43,8 @@ class Scenario(NamedTuple):
         fault_q: Faults of the encoders.
         plant: How the arm differs from its model.
         contact: A force on a link; None where no scenario of a set has one: their programs are smaller and faster.
+        uncommon: () where faults may be of any kind; None where all are of the common ones, bias, loss and a stuck motor,
+            bias, drift, scale, freeze and noise of an encoder: those programs are smaller and faster, too.
     """
 
     id: Array
@@ -53,6 +55,7 @@ class Scenario(NamedTuple):
     fault_q: Fault
     plant: Plant
     contact: Contact | None = None
+    uncommon: tuple[()] | None = ()
 
     with_contact = contacts.with_contact
     with_actuator_bias = builders.with_actuator_bias
@@ -115,6 +118,7 @@ def healthy_scenario(
         fault_tau=no_fault(config.n),
         fault_q=no_fault(config.n),
         plant=nominal_plant(config.robot),
+        uncommon=None,
     )
 
 
@@ -173,6 +177,8 @@ def stack(scenarios: list[Scenario]) -> Scenario:
     """Scenarios as one with a leading axis."""
     if any(scenario.contact for scenario in scenarios):
         scenarios = [scenario._replace(contact=scenario.contact or no_contact()) for scenario in scenarios]
+    if any(scenario.uncommon is not None for scenario in scenarios):
+        scenarios = [scenario._replace(uncommon=()) for scenario in scenarios]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios)
 
 

@@ -24,7 +24,7 @@ from jaxftc.gains import check as check_gains
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import dynamics, lanes
 from jaxftc.scenarios import reference
-from jaxftc.scenarios.faults import Actuator, Fault, Sensor
+from jaxftc.scenarios.faults import Actuator, Fault, Sensor, common
 from jaxftc.scenarios.scenario import Scenario, trail
 from jaxftc.schemes import registry
 from jaxftc.simulation import contact, fault_injection, noise
@@ -122,6 +122,12 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
         allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
         if not isinstance(leaf, Tracer) and not allowed(np.asarray(leaf)).all():
             raise ValueError(f"{name} must {rule}, got {np.asarray(leaf).tolist()}")
+    for fault, kinds in ((scenario.fault_tau, Actuator), (scenario.fault_q, Sensor)):
+        if scenario.uncommon is None and not isinstance(fault.kind, Tracer) and (fault.kind > common(kinds)).any():
+            raise ValueError(
+                f"scenario.uncommon is None, which says that there are common kinds of fault only, got "
+                f"{kinds(int(fault.kind.max()))!r}; add faults with scenario.with_..., or give _replace(uncommon=()) with them"
+            )
 
 
 def _positive(x: np.ndarray) -> np.ndarray:
@@ -151,7 +157,8 @@ def start(config: Config, gains: Gains, scenario: Scenario) -> Loop:
     dtype = gains.arx.xi_a.dtype
     q = jnp.asarray(scenario.q_start, dtype)
     tau = registry.holding_torque(config, q)
-    return Loop(q, jnp.zeros_like(q), tau, fault_injection.init(tau, q, q), registry.init(config, gains, q))
+    fault = fault_injection.init(tau, q, q, uncommon=scenario.uncommon is not None)
+    return Loop(q, jnp.zeros_like(q), tau, fault, registry.init(config, gains, q))
 
 
 def advance(

@@ -1,6 +1,7 @@
 """What a fault does to the torque that reaches the arm and to the reading that reaches the controller.
 
-Every kind is computed and the one that is there is selected, so that kinds are data. The first-order jump at onset has no
+Every kind is computed and the one that is there is selected, so that kinds are data; where a set of scenarios is known to
+have common kinds only, these alone, a tenth of a tick less. The first-order jump at onset has no
 gradient with respect to onset. Magnitudes have one, but for the ticks of a delay and the size of an encoder's count.
 """
 
@@ -13,7 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxftc.numerics.barrier import store
-from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Reading, Sensor, Torque
+from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Reading, Sensor, Torque, common
 from jaxftc.simulation.fault_profiles import present, size
 from jaxftc.types import Array
 
@@ -37,14 +38,20 @@ class Past(NamedTuple):
         return now
 
 
+class Uncommon(NamedTuple):
+    """What uncommon kinds need: the angle of a joint that locks, and earlier values, for signals that are late."""
+
+    q: Array  # [n, ...] rad, true angle while all was well
+    commands: Past  # N m
+    readings: Past  # rad, without a fault
+
+
 class State(NamedTuple):
-    """Last values while all was well, for the kinds that freeze, and earlier ones, for those that are late."""
+    """Last values while all was well, for the kinds that freeze."""
 
     tau: Array  # [n, ...] N m
     y: Array  # [n, ...] rad
-    q: Array  # [n, ...] rad, true angle
-    commands: Past  # N m
-    readings: Past  # rad, without a fault
+    uncommon: Uncommon | None  # where there are such kinds
 
 
 class Motion(NamedTuple):
@@ -56,9 +63,12 @@ class Motion(NamedTuple):
     dt: float  # s
 
 
-def init(tau: Array, y: Array, q: Array) -> State:
-    """State of a run that begins with a torque [n, ...] N m, a reading y and an angle q [n, ...] rad."""
-    return State(tau, y, q, _standing(tau), _standing(y))
+def init(tau: Array, y: Array, q: Array, *, uncommon: bool = True) -> State:
+    """State of a run that begins with a torque [n, ...] N m, a reading y and an angle q [n, ...] rad.
+
+    ``uncommon`` says whether there can be uncommon kinds.
+    """
+    return State(tau, y, Uncommon(q, _standing(tau), _standing(y)) if uncommon else None)
 
 
 def _standing(value: Array) -> Past:
@@ -68,9 +78,12 @@ def _standing(value: Array) -> Past:
 
 def deliver(fault: Fault, state: State, t: Array, tau: Array, limit: Array, motion: Motion) -> tuple[State, Array]:
     """Torque [n, ...] N m that reaches the arm for a command tau [n, ...] N m within ``limit`` [n, ...]."""
-    there, share = present(fault, t), size(fault, t)
-    held, q_held = jnp.where(there, state.tau, tau), jnp.where(there, state.q, motion.q)
-    commands, late = _late(fault.kind == Actuator.DELAY, state.commands, tau, share * fault.magnitude)
+    there, share, more = present(fault, t), size(fault, t), state.uncommon
+    held, q_held, late = jnp.where(there, state.tau, tau), motion.q, tau
+    if more is not None:
+        q_held = jnp.where(there, more.q, motion.q)
+        commands, late = _late(fault.kind == Actuator.DELAY, more.commands, tau, share * fault.magnitude)
+        more = more._replace(q=q_held, commands=commands)
     torque = Torque(
         tau,
         share * fault.magnitude,
@@ -81,38 +94,46 @@ def deliver(fault: Fault, state: State, t: Array, tau: Array, limit: Array, moti
         late,
         jnp.broadcast_to(motion.q, tau.shape),
         jnp.broadcast_to(motion.qd, tau.shape),
-        q_held,
+        jnp.broadcast_to(q_held, tau.shape),
         jnp.broadcast_to(motion.inertia, tau.shape),
         motion.dt,
     )
-    delivered = _effect(Actuator, fault, there, torque, tau)
-    held, q_held, delivered = store((held, q_held, delivered))
-    return state._replace(tau=held, q=q_held, commands=commands), delivered
+    delivered = _effect(Actuator, fault, there, torque, tau, more is not None)
+    held, more, delivered = store((held, more, delivered))
+    return state._replace(tau=held, uncommon=more), delivered
 
 
 def read(fault: Fault, state: State, t: Array, q: Array, noise: Array) -> tuple[State, Array, Array]:
     """(state, reading [n, ...] rad, fault in it [n, ...] rad) for an angle q and encoder noise [n, ...] rad."""
-    there, share = present(fault, t), size(fault, t)
-    clean = q + noise
+    there, share, more = present(fault, t), size(fault, t), state.uncommon
+    clean = late = q + noise
     held = jnp.where(there, state.y, clean)
-    readings, late = _late(fault.kind == Sensor.DELAY, state.readings, clean, share * fault.magnitude)
+    if more is not None:
+        readings, late = _late(fault.kind == Sensor.DELAY, more.readings, clean, share * fault.magnitude)
+        more = more._replace(readings=readings)
     signal = Reading(q, noise, share * fault.magnitude, share, fault.magnitude, t - fault.onset, held, late)
-    reading = _effect(Sensor, fault, there, signal, clean)
-    state = state._replace(y=held, readings=readings)
-    return state, reading, jnp.where(jnp.isnan(reading), 0.0, reading - clean)
+    reading = _effect(Sensor, fault, there, signal, clean, more is not None)
+    return state._replace(y=held, uncommon=more), reading, jnp.where(jnp.isnan(reading), 0.0, reading - clean)
 
 
 def _late(some: Array, past: Past, now: Array, ticks: Array) -> tuple[Past, Array]:
     """The memory with this tick's signal, and the signal of some ticks ago; ``now`` and ``ticks`` [n, ...].
 
-    Memory is dear in a large batch, 14 % of a tick: it is kept only where one scenario of the batch needs it.
+    Memory is dear in a large batch: it is kept only where one scenario of the batch needs it.
     """
     return lax.cond(jnp.any(some), lambda p, x, d: (p.after(x), p.late(x, d)), lambda p, x, d: (p, x), past, now, ticks)
 
 
-def _effect(kinds: type[Kind], fault: Fault, there: Array, signal: Torque | Reading, healthy: Array) -> Array:
-    """The signal [n, ...] with the fault that is there, from the healthy one [n, ...]."""
+def _effect(
+    kinds: type[Kind], fault: Fault, there: Array, signal: Torque | Reading, healthy: Array, uncommon: bool
+) -> Array:
+    """The signal [n, ...] with the fault that is there, from the healthy one [n, ...].
+
+    An uncommon kind where there should be none makes it nan, not healthy.
+    """
+    last = max(kinds) if uncommon else common(kinds)
+    healthy = jnp.where(fault.kind > last, jnp.nan, healthy)
     for kind in kinds:
-        if kind:
+        if 0 < kind <= last:
             healthy = jnp.where(there & (fault.kind == kind), kind.effect(signal), healthy)
     return healthy
