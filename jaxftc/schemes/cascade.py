@@ -68,7 +68,7 @@ class Found(NamedTuple):
 
 
 class Arm(NamedTuple):
-    """The nominal arm where the observer sees it."""
+    """The nominal arm at the angle that the control law sees."""
 
     pose: rigid_body.Pose
     mass: MassMatrix
@@ -125,14 +125,14 @@ def step(
     applied = _applied(config, state, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.apply_input(gains, state.observer, applied.u)  # line 1
     observer, seen = cascade.correct(config, gains, observer, _reading(state, applied, measurement), on)  # lines 2 to 4, 7
-    arm = _arm(config, seen)
+    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
+    control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
+    arm = _arm(config, control.q)
     residual = residuals.generate(arm.mass, seen)  # line 5
     level = threshold.of_reference(config.robot, gains.diagnosis, reference)
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
-    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
-    control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
     learning, learned = _learn(config, gains, state, arm, seen, law, psi, reference)
-    command = _command(config, arm, control, law, reference, learned, on)  # lines 10 to 12
+    command = _command(config, arm, law, reference, learned)  # lines 10 to 12
     means, decided, found = _diagnose(config, gains, state, arm, seen, residual, level, law.qd_hat, applied.qdd, learned, on)
     state = State(observer, means, decided, control, found.decision.sensors, command, seen.psi, known, learning)
     return state, _report(config, gains, seen, found, law, command)
@@ -142,8 +142,8 @@ def _reading(state: State, applied: Applied, measurement: Measurement) -> cascad
     return cascade.Reading(measurement.q, applied.qdd_hat, state.sensors)
 
 
-def _arm(config: Config, seen: Estimate) -> Arm:
-    pose = rigid_body.pose(config.robot, seen.q_hat)
+def _arm(config: Config, q: Array) -> Arm:
+    pose = rigid_body.pose(config.robot, q)
     return Arm(pose, dynamics.nominal_mass(config.robot, pose))
 
 
@@ -207,16 +207,13 @@ def _learn(
 def _command(
     config: Config,
     arm: Arm,
-    control: sliding_mode.State,
     law: sliding_mode.Command,
     reference: Reference,
     learned: adaptation.Correction | None,
-    on: Stages,
 ) -> LastCommand:
     """Torque before the limits that makes the commanded acceleration, by one Newton-Euler pass."""
     robot = config.robot
-    at = arm.pose if on.raw is False else rigid_body.pose(robot, control.q)
-    tau = dynamics.nominal_torque(robot, at, law.qd_hat, law.qdd)
+    tau = dynamics.nominal_torque(robot, arm.pose, law.qd_hat, law.qdd)
     tau = tau + dynamics.coulomb(robot, reference.qd)  # at the wanted speed: the estimate's noise would throw it to and fro
     tau = tau if learned is None else tau + learned.tau
     return LastCommand(tau, law.qdd, arm.mass.packed(tau))
