@@ -156,7 +156,7 @@ def _program(
 
         blank = online.init(config, scenarios.q_start.astype(gains.arx.xi_a.dtype))
         last, trace = watch(config, gains, scenarios, key, blank, look, on)
-        return last.score, trace
+        return online.total(last), trace
 
     like = online.Score(*[0] * len(online.Score._fields)), blank_trace()  # pyright: ignore[reportArgumentType]
     # The code of a user's scheme is not in a program's name.

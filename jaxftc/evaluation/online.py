@@ -1,6 +1,6 @@
 """Figures of merit of a run, kept while it lasts: a campaign stores no trajectory.
 
-``init`` and ``step`` follow one tick after the other. The truth is the scenario's: a fault is there from the first onset to
+``init`` and ``step`` follow one tick after the other, ``total`` comes last. The truth is the scenario's: a fault is there from the first onset to
 the last clearance. ``Score`` has one number a scenario; ``table`` makes columns of it.
 
 An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused. A
@@ -77,13 +77,15 @@ class Score(NamedTuple):
     lost: Array  # bool, the arm diverged
 
 
+_SUMS = ("se_tau", "se_q", "ise", "iae", "itae", "effort", "travel", "rough", "saturated")  # over joints, at the end
+_LARGEST = ("track_max", "peak", "lost")  # of the joints, at the end
 _TIMES = ("false_at", "began", "alarm_at", "isolated_at", "quiet_at", "complete_at", "visible_at")  # infinite before
 
 
 class State(NamedTuple):
     """The score so far and what the next tick needs."""
 
-    score: Score
+    score: Score  # [n, ...] where ``total`` is yet to put the joints together
     tau: Array  # [n, ...] 1, last torque over its limit
     verdict: Array  # [n, ...] int32, of the last tick
     risen: Array  # [n, ...] int32, what of it rose at or after onset
@@ -116,17 +118,25 @@ def init(config: Config, like: Array) -> State:
     zero, never = jnp.zeros_like(like[0]), jnp.full_like(like[0], jnp.inf)
     scores = {name: zero for name in Score._fields}
     scores |= {name: never for name in _TIMES}
+    scores |= {name: jnp.zeros_like(like) for name in (*_SUMS, *_LARGEST)}
     scores |= {name: jnp.zeros(like.shape, jnp.int32) for name in ("verdict", "settled", "visible", "visible_late")}
     scores |= {
         "crossed": jnp.full((len(LEVELS), *zero.shape), jnp.inf, like.dtype),
         "healthy_tau": jnp.zeros_like(like),
         "healthy_q": jnp.zeros_like(like),
-        "lost": jnp.zeros(zero.shape, bool),
+        "lost": jnp.zeros(like.shape, bool),
     }
     held = jnp.zeros((config.alarm_ticks - 1, *like.shape), like.dtype)
     rough = jnp.zeros((2, *like.shape), like.dtype)
     none = scores["verdict"]
     return State(Score(**scores), jnp.zeros_like(like), none, none, zero, rough, held, right=zero, top=zero)
+
+
+def total(state: State) -> Score:
+    """The score of runs that are through: joints are put together once, not every tick."""
+    score = state.score
+    whole = {name: getattr(score, name).sum(0) for name in _SUMS} | {name: getattr(score, name).max(0) for name in _LARGEST}
+    return score._replace(**whole)
 
 
 def step(config: Config, gains: Gains, true: Truth, state: State, tick: Trace) -> State:
@@ -158,20 +168,20 @@ def _arm(config: Config, state: State, tick: Trace) -> tuple[dict[str, Array], A
     change = jnp.where(t > 0, tau - state.tau, 0.0)
     filtered, rough = _high_pass(config, state.rough, tau, t)
     error = tick.q - tick.q_ref
-    size = jnp.abs(error).sum(0)
+    size = jnp.abs(error)
     found = {
-        "se_tau": score.se_tau + ((out.fault_tau_hat - (tick.fault_tau + tick.contact_tau)) ** 2).sum(0),
-        "se_q": score.se_q + ((out.fault_q_hat - tick.fault_q) ** 2).sum(0),
-        "ise": score.ise + (error * error).sum(0),
+        "se_tau": score.se_tau + (out.fault_tau_hat - (tick.fault_tau + tick.contact_tau)) ** 2,
+        "se_q": score.se_q + (out.fault_q_hat - tick.fault_q) ** 2,
+        "ise": score.ise + error * error,
         "iae": score.iae + size,
         "itae": score.itae + t * size,
-        "track_max": jnp.maximum(score.track_max, jnp.abs(error).max(0)),
-        "effort": score.effort + (tau * tau).sum(0),
-        "travel": score.travel + jnp.abs(change).sum(0),
-        "rough": score.rough + (rough * rough).sum(0),
-        "saturated": score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited).sum(0),
-        "peak": jnp.maximum(score.peak, jnp.abs(tau).max(0)),
-        "lost": score.lost | ~jnp.isfinite(tick.q).all(0),
+        "track_max": jnp.maximum(score.track_max, size),
+        "effort": score.effort + tau * tau,
+        "travel": score.travel + jnp.abs(change),
+        "rough": score.rough + rough * rough,
+        "saturated": score.saturated + ((jnp.abs(tau) >= 1 - 1e-6) & limited),
+        "peak": jnp.maximum(score.peak, jnp.abs(tau)),
+        "lost": score.lost | ~jnp.isfinite(tick.q),
     }
     return found, tau, filtered
 

@@ -148,7 +148,7 @@ def scoring():
             return online.step(config, gains, true, state, tick), None
 
         ticks = jnp.arange(TICKS) * config.dt
-        return jax.lax.scan(body, online.init(config, zero), (ticks, alarm, statistic))[0].score
+        return online.total(jax.lax.scan(body, online.init(config, zero), (ticks, alarm, statistic))[0])
 
     return config, jax.jit(call)
 
