@@ -178,7 +178,7 @@ def without_faults(scenarios: Scenario) -> Scenario:
     """The same motions of the same arms, healthy."""
     none = {name: np.zeros_like(getattr(scenarios, name).kind) for name in ("fault_tau", "fault_q")}
     faults = {name: getattr(scenarios, name)._replace(kind=kind) for name, kind in none.items()}
-    return scenarios._replace(contact=None, **faults)
+    return scenarios._replace(contact=None, uncommon=None, **faults)
 
 
 def allowed(runs: int, false_alarms: float, confidence: float) -> int:

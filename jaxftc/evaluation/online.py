@@ -1,7 +1,7 @@
 """Figures of merit of a run, kept while it lasts: a campaign stores no trajectory.
 
-``init`` and ``step`` follow one tick after the other, ``total`` comes last. The truth is the scenario's: a fault is there from the first onset to
-the last clearance. ``Score`` has one number a scenario; ``table`` makes columns of it.
+``init`` and ``step`` follow one tick after the other, ``total`` comes last. The truth is the scenario's: a fault is there
+from the first onset to the last clearance. ``Score`` has one number a scenario; ``table`` makes columns of it.
 
 An alarm is false before the first onset and in a healthy run; up to ``RECOVERY`` after the last clearance it is excused. A
 fault is found by an alarm that rises in that time: one that is up from before has found nothing. A fault that would begin

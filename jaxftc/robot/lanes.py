@@ -12,7 +12,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-
 from jax.custom_derivatives import SymbolicZero
 
 from jaxftc.numerics.barrier import stack as join

@@ -11,7 +11,7 @@ import jax
 
 from jaxftc.numerics.barrier import stack as join
 from jaxftc.numerics.barrier import unstack as lanes
-from jaxftc.robot.lanes import Lane, dot, less_products, mul, stack
+from jaxftc.robot.lanes import Lane, less_products, mul, stack
 from jaxftc.types import Array
 
 

@@ -24,7 +24,19 @@ from jaxftc.robot.dynamics import Plant
 from jaxftc.scenarios import contact
 from jaxftc.scenarios.contact import Contact
 from jaxftc.scenarios.distributions import Law, scaled
-from jaxftc.scenarios.faults import UNITS, Actuator, ActuatorFaults, Fault, Kind, Sensor, SensorFaults, Signed, Sized, common, kinds
+from jaxftc.scenarios.faults import (
+    UNITS,
+    Actuator,
+    ActuatorFaults,
+    Fault,
+    Kind,
+    Sensor,
+    SensorFaults,
+    Signed,
+    Sized,
+    common,
+    kinds,
+)
 from jaxftc.scenarios.preset import Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.reference import within_range
@@ -99,7 +111,7 @@ def check_arm(preset: Preset, config: Config, name: str) -> None:
 def _draw_all(preset: Preset, config: Config, key: Array, ids: Array) -> Scenario:
     if isinstance(preset, Paper):
         four = stack([paper_scenario(condition, config) for condition in CONDITIONS])
-        return jax.tree.map(lambda leaf: leaf[ids % len(CONDITIONS)], four)._replace(id=ids)
+        return jax.tree.map(lambda leaf: leaf[ids % len(CONDITIONS)], four)._replace(id=ids, uncommon=None)
     drawn = jax.vmap(lambda i: draw(preset, config, jax.random.fold_in(key, i), i))(ids.reshape(-1))
     return jax.tree.map(lambda leaf: leaf.reshape(*ids.shape, *leaf.shape[1:]), drawn)
 

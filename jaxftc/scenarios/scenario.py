@@ -118,7 +118,6 @@ def healthy_scenario(
         fault_tau=no_fault(config.n),
         fault_q=no_fault(config.n),
         plant=nominal_plant(config.robot),
-        uncommon=None,
     )
 
 

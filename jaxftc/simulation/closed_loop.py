@@ -122,12 +122,14 @@ def check(config: Config, gains: Gains, scenario: Scenario) -> None:
         allowed, rule = _ALLOWED.get(name.rpartition(".")[2], (np.isfinite, "be finite"))
         if not isinstance(leaf, Tracer) and not allowed(np.asarray(leaf)).all():
             raise ValueError(f"{name} must {rule}, got {np.asarray(leaf).tolist()}")
-    for fault, kinds in ((scenario.fault_tau, Actuator), (scenario.fault_q, Sensor)):
-        if scenario.uncommon is None and not isinstance(fault.kind, Tracer) and (fault.kind > common(kinds)).any():
-            raise ValueError(
-                f"scenario.uncommon is None, which says that there are common kinds of fault only, got "
-                f"{kinds(int(fault.kind.max()))!r}; add faults with scenario.with_..., or give _replace(uncommon=()) with them"
-            )
+    if scenario.uncommon is None:
+        for fault, kinds in ((scenario.fault_tau, Actuator), (scenario.fault_q, Sensor)):
+            largest = 0 if isinstance(fault.kind, Tracer) else np.asarray(fault.kind).max(initial=0)
+            if largest > common(kinds):
+                raise ValueError(
+                    f"scenario.uncommon is None, which stands for common kinds of fault only, got {kinds(int(largest))!r}; "
+                    "add faults with scenario.with_..., or say _replace(uncommon=()) with them"
+                )
 
 
 def _positive(x: np.ndarray) -> np.ndarray:

@@ -37,7 +37,7 @@ def setting():
     scenarios = jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
     dropout = scenarios.fault_q._replace(kind=scenarios.fault_q.kind.at[0, 1].set(Sensor.DROPOUT))
     gains = jaxftc.default_gains(config).replace({"diagnosis.follow_speed": 0.2, "diagnosis.follow_torque": 0.05})
-    return config, gains, scenarios._replace(fault_q=dropout)
+    return config, gains, scenarios._replace(fault_q=dropout, uncommon=())
 
 
 @pytest.fixture(scope="module")
