@@ -125,12 +125,12 @@ def step(
     applied = _applied(config, state, measurement.tau)  # Eqs. (2), (3)
     observer = cascade.apply_input(gains, state.observer, applied.u)  # line 1
     observer, seen = cascade.correct(config, gains, observer, _reading(state, applied, measurement), on)  # lines 2 to 4, 7
-    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
-    control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
-    arm = _arm(config, control.q)
+    arm = _arm(config, seen, on)
     residual = residuals.generate(arm.mass, seen)  # line 5
     level = threshold.of_reference(config.robot, gains.diagnosis, reference)
     observer = cascade.adapt(config, gains, observer, seen, residual.tau, level, on)
+    known, psi = compensation.step(config, gains, state.compensation, _to_compensate(config, gains, state.sensors, seen, on))
+    control, law = sliding_mode.step(config, gains, state.control, _to_control(applied, seen, psi, reference, on))
     learning, learned = _learn(config, gains, state, arm, seen, law, psi, reference)
     command = _command(config, arm, law, reference, learned)  # lines 10 to 12
     means, decided, found = _diagnose(config, gains, state, arm, seen, residual, level, law.qd_hat, applied.qdd, learned, on)
@@ -142,8 +142,8 @@ def _reading(state: State, applied: Applied, measurement: Measurement) -> cascad
     return cascade.Reading(measurement.q, applied.qdd_hat, state.sensors)
 
 
-def _arm(config: Config, q: Array) -> Arm:
-    pose = rigid_body.pose(config.robot, q)
+def _arm(config: Config, seen: Estimate, on: Stages) -> Arm:
+    pose = rigid_body.pose(config.robot, either(on.raw, seen.y, seen.q_hat))
     return Arm(pose, dynamics.nominal_mass(config.robot, pose))
 
 
