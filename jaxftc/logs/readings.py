@@ -24,7 +24,9 @@ def in_degrees(robot: Robot, q: np.ndarray) -> str | None:
     beyond = size > np.maximum(1.5 * ranges, TURN + 0.5)
     if beyond.any() and (np.deg2rad(size) <= 1.1 * ranges).all():
         j = int((size / ranges).argmax())
-        return f"joint {j + 1} ({robot.joint_names[j]}) reaches {size[j]:.4g}, its range ends at {ranges[j]:.3g} rad"
+        alone = beyond.sum() == 1 and ((np.ptp(q, axis=0) > TURNS) & ~beyond).any()
+        only = "; no other joint shows it, so name the units in the head if they differ" if alone else ""
+        return f"joint {j + 1} ({robot.joint_names[j]}) reaches {size[j]:.4g}, its range ends at {ranges[j]:.3g} rad{only}"
     if not np.isfinite(ranges).any() and size.max() > FAR:
         return f"joint {size.argmax() + 1} reaches {size.max():.4g}"
     return None

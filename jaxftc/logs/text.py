@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxftc.logs.formats import UNITS, Table
+from jaxftc.logs.formats import Table, unit_named
 
 COMMENT = ("#", "%", "//")
 NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)"
@@ -146,7 +146,7 @@ def _units(head: list[str], lines: list[tuple[int, str]], cut: str | None) -> di
     cells = [cell.strip("[]()") for cell in _cells(lines[0][1], cut)] if lines else []
     if len(cells) != len(head) or not any(cells) or any(_NUMBER.fullmatch(cell) for cell in cells):
         return {}
-    return dict(zip(head, cells, strict=True)) if any(cell.lower() in UNITS for cell in cells) else {}
+    return dict(zip(head, cells, strict=True)) if any(unit_named(cell) is not None for cell in cells) else {}
 
 
 def _decimal_comma(lines: list[tuple[int, str]], cut: str | None) -> bool:
