@@ -101,6 +101,7 @@ def dynamics(
         unit = next(log.unit for log in logs if log.unit != "N m")
         what = {"A": "ampere"}.get(unit, unit)
         notes.append(f"torque for one {what}, found on the file's model: {_listed(gain)} N m")
+    gain = np.ones(robot.n) if gain is None else np.broadcast_to(np.asarray(gain, float), robot.n)
     data = gather(robot, motions, gain)
     prior = from_file(robot, data)
     width, sums, shown = _width(prior, data)
@@ -190,7 +191,10 @@ def _check(robot: Robot, logs: list[Log]) -> None:
         if np.shape(log.q) != np.shape(log.tau) or np.ndim(log.q) != 2 or np.shape(log.q)[1] != robot.n:
             raise ValueError(f"log {k} must have q and tau of [T, {robot.n}], got {np.shape(log.q)} and {np.shape(log.tau)}")
         if not log.has_torque:
-            raise ValueError(f"log {k} has no torques, so there is nothing to fit a model to; record them")
+            raise ValueError(
+                f"log {k} has no torques, so there is nothing to fit a model to; record them, or say which columns they are "
+                "with --columns tau1=NAME"
+            )
 
 
 def _listed(values: np.ndarray) -> str:

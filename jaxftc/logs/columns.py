@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from jaxftc import checks
 from jaxftc.logs.formats import unit_named
-from jaxftc.logs.words import ANGLE, CURRENT, TIME, TORQUE, WANTED, core
+from jaxftc.logs.words import ANGLE, CURRENT, PARTIAL, TIME, TORQUE, WANTED, core
 
 _UNIT = re.compile(r"[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]$|_([A-Za-z]+)$")
 _JOINT = r"joints?|j|axis|motor|actuators?|servos?"
@@ -76,7 +76,7 @@ def find(
     if angle is None:
         n = len(joints)
         raise ValueError(
-            f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {_listed(names)}; "
+            f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {listed(names)}; "
             f"say which they are with --columns q1=... to q{n}=..."
         )
     units = {
@@ -176,10 +176,17 @@ def _pick(groups: list[_Group], words: tuple[str, ...], joints: tuple[str, ...],
     for word in (*words, *([""] if words is ANGLE else [])):  # joints alone, without a word, are angles
         if found := _whole([g for g in groups if core(_strip_unit(g.path)) == word and _says(g)], joints, notes):
             return found
+    kinds = {ANGLE: ("rad", "deg", "mrad"), TORQUE: ("N m", "mN m", "N cm")}.get(words, ())
+    if found := _whole(
+        [g for g in groups if g.unit in kinds and not re.search(f"{WANTED.pattern}|{PARTIAL.pattern}", g.path, re.I)],
+        joints,
+        notes,
+    ):
+        return found  # a word that is not known, but its unit is
     if short is not None and not set(short.columns) <= {"0", "1"}:
         raise ValueError(
             f"the log must have columns {words[0]}1 to {words[0]}{len(joints)} for the arm's {len(joints)} joints "
-            f"({', '.join(joints)}); it has {_listed(list(short.columns.values()))}; say which they are with --columns"
+            f"({', '.join(joints)}); it has {listed(list(short.columns.values()))}; say which they are with --columns"
         )
     return None
 
@@ -238,5 +245,6 @@ def _strip_unit(path: str) -> str:
     return path if _bare(path)[1] is None else path[: _UNIT.search(path.strip()).start()]  # pyright: ignore[reportOptionalMemberAccess]
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
+    """The first thirty names, and how many more there are."""
     return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")

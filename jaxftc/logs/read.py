@@ -16,7 +16,7 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.logs.against_model import doubts
 from jaxftc.logs.clock import order, resample
-from jaxftc.logs.columns import Columns, find
+from jaxftc.logs.columns import Columns, find, listed
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
 from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, still, timing_error, unwrapped
@@ -111,7 +111,10 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     q = _numbers(table, found, found.angle, "rad")
     tau = _numbers(table, found, found.torque, "N m") if found.torque else None
     if tau is None:
-        notes.append("the file has no torques: readings alone are judged; torques and the model cannot be")
+        notes.append(
+            f"the file has no torques: readings alone are judged; torques and the model cannot be (columns: "
+            f"{listed(list(table.columns))})"
+        )
     else:
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)

@@ -95,6 +95,7 @@ TIME = tuple(
     ]
 )
 WANTED = re.compile(r"target|desired|command|cmd|goal|reference|setpoint|(^|[^a-z])ref([^a-z]|$)", re.IGNORECASE)
+PARTIAL = re.compile(r"ext|frict|grav|coriolis|contact|err|lim|max|min", re.IGNORECASE)  # no whole torque or angle
 BESIDE = frozenset(  # says nothing of the quantity
     [
         "joint",

@@ -180,6 +180,22 @@ def test_rows_that_were_written_late_are_no_fault(config, calibration, tmp_path)
     assert not verdict[~on].any() and (verdict[on][2:] & jaxftc.Verdict.SENSOR == [0, jaxftc.Verdict.SENSOR, 0]).all()
 
 
+def test_an_alarm_at_the_start_of_a_motion_ends(config, arm, calibration):
+    """The joint stood, held by friction, which turned round before it broke away; then the model is right again."""
+    t, q, qd, qdd = small_logs.motion(16.0, 1 / DT, 3)
+    start = 800
+    after = np.clip(t - t[start], 0, None)
+    q[:, 1] = -0.6 + 0.25 * (1 - np.cos(1.2 * after))
+    qd[:, 1], qdd[:, 1] = 0.3 * np.sin(1.2 * after), 0.36 * np.cos(1.2 * after) * (after > 0)
+    tau = small_logs.torque(arm_file(arm), q, qd, qdd) - small_logs.OFFSET
+    tau[: start - 40, 1] += 1.9
+    tau[start - 40 : start, 1] -= 1.9
+    said = logs.diagnose(config, calibration.gains, Log(q, tau, t, DT))
+    up = np.asarray(said.verdict)[:, 1] > 0
+    assert up[start - 40 : start + 20].any() and not up[: start - 40].any()
+    assert not up[start + 100 :].any()
+
+
 @pytest.mark.parametrize("back", [1, 2])
 def test_a_reading_that_comes_late_is_no_fault(config, calibration, log, back):
     """It is off for a tick, or to one side and then to the other, and right again."""

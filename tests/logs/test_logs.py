@@ -166,6 +166,9 @@ WRITTEN = {
         path, our(table, "base.actuators[{}].position", "base.actuators[{}].torque", "time_us", first=0) | us(table)
     ),
     "q1_measured": lambda path, table: small_logs.write(path, our(table, "q{}_measured", "tau{}_measured", "elapsed_time")),
+    "a unit says what no word does": lambda path, table: small_logs.write(
+        path, our(table, "J{} [rad]", "M{} (N m)", "Time [s]") | {f"Mext{k} [Nm]": table["t"] for k in (1, 2, 3)}, ";"
+    ),
     "axes alone are angles": lambda path, table: small_logs.write(path, our(table, "A{}", "torque_A{}", "Time")),
     "joint names alone are angles": lambda path, table: small_logs.write(
         path, {"t": table["t"]} | {k.strip("_"): v for k, v in by_name(table, "{word}_{joint}", ("", "effort")).items()}
