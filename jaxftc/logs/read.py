@@ -110,12 +110,15 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     notes, unit = [*table.notes, *found.notes], "N m"
     q = _numbers(table, found, found.angle, "rad")
     tau = _numbers(table, found, found.torque, "N m") if found.torque else None
-    if tau is None:
+    if tau is not None and not np.nan_to_num(tau).any():  # as drivers write that do not know them
+        tau = None
+        notes.append("torques are 0 or empty in every row of every joint: taken as not recorded, readings alone are judged")
+    elif tau is None:
         notes.append(
             f"the file has no torques: readings alone are judged; torques and the model cannot be (columns: "
             f"{listed(list(table.columns))})"
         )
-    else:
+    if tau is not None:
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
     q, degrees = _angles(robot, q, found, options, notes)

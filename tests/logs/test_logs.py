@@ -267,6 +267,21 @@ def test_a_bag_is_read_without_metadata_beside_it(arm, good, tmp_path):
     same(logs.read(bag(tmp_path / "log.db3", good), arm), good)
 
 
+def test_a_gripper_on_the_same_topic_is_left_out(arm, good, tmp_path):
+    path = bag(tmp_path / "log.db3", good)
+    with sqlite3.connect(path) as base:
+        for k in range(900):  # more often than the arm, and before it
+            stamp = 10**18 + k * 7 * 10**6
+            base.execute(
+                "insert into messages values (?, 1, ?, ?)",
+                (1000 + k, stamp, joint_state(stamp, ["finger"], [0.01], [], [0.0])),
+            )
+    base.close()
+    log = logs.read(path, arm)
+    same(log, good)
+    assert any("900 messages on /joint_states name other joints than elbow_joint, pan" in note for note in log.notes)
+
+
 def test_mcap_is_read(arm, good, tmp_path):
     pytest.importorskip("rosbags", reason="the extra `logs`")
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -371,6 +386,10 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
     "a number of rows of another message": (
         lambda t: {k: np.where((K > 10) & (K < 16), 40.0 * K, v) if k[0] == "q" else v for k, v in t.items()},
         "such rows, the last is row 17: they are no readings of this arm, so cut them out of the file",
+    ),
+    "torques of another message": (
+        lambda t: {k: np.where(K == 40, 1e4, v) if k[:3] == "tau" else v for k, v in t.items()},
+        "row 41, column of torque 1: 10000 N m, the limit is 80 N m, and other joints exceed theirs with it; 1 such rows",
     ),
     "torque turned round": (
         lambda t: t | {"tau2": -t["tau2"]},
@@ -584,6 +603,10 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
         {"check": False},
     ),
     "no torques": (lambda t: without(t, "tau1", "tau2", "tau3"), "the file has no torques: readings alone are judged"),
+    "torques that a driver does not know": (
+        lambda t: times(t, 0.0, "tau"),
+        "torques are 0 or empty in every row of every joint: taken as not recorded, readings alone are judged",
+    ),
     "currents by name": (
         lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="actual_current_{}"),
         "torques are currents in A, and the N m for one are not known",
