@@ -62,9 +62,8 @@ def doubts(
     ways = [] if fits else orders(robot, q, qd, tau)
     if doubted:
         ways = torques(robot, plain, qd, tau, doubted) + angles(robot, q, qd, tau) + ways
-    score, name = min(
-        ways, key=lambda way: round(way[0], 2), default=(np.inf, "")
-    )  # a tie is the torque's: those come first
+    # a tie is the torque's: those come first
+    score, name = min(ways, key=lambda way: round(way[0], 2), default=(np.inf, ""))
     if score < BETTER * rest.sum() and (other is None or score < other.free.sum()):
         return [*lines, name], []
     if other is not None:

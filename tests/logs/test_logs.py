@@ -652,6 +652,22 @@ def test_what_is_repaired_is_said_in_one_line(oddity, arm, good, tmp_path):
     assert np.isfinite(log.q).all() and np.abs(np.diff(log.q[slice(*log.stretches[0])], axis=0)).max() < 0.1
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("degrees", [False, True])
+def test_units_of_good_logs_are_not_doubted(arm, tmp_path, seed, degrees):
+    """Heavier links than the file's, and a joint that stands."""
+    table = small_logs.table(arm, seed=seed)
+    table |= {f"tau{j}": factor * table[f"tau{j}"] for j, factor in ((1, 0.8), (2, 1.4), (3, 1.8))}
+    log = logs.read(small_logs.write(tmp_path / "a.csv", times(table, 180 / np.pi if degrees else 1.0, "q")), arm)
+    assert log.degrees == degrees and len(log.notes) == degrees
+    t, q, qd, qdd = small_logs.motion(8.0, 100.0, seed)
+    q[:, 1], qd[:, 1], qdd[:, 1] = 0.1, 0.0, 0.0
+    tau = small_logs.torque(arm, q, qd, qdd)
+    table = {"t": t} | {f"q{j + 1}": q[:, j] for j in range(3)} | {f"tau{j + 1}": tau[:, j] for j in range(3)}
+    log = logs.read(small_logs.write(tmp_path / "b.csv", times(table, 180 / np.pi if degrees else 1.0, "q")), arm)
+    assert log.degrees == degrees and np.abs(log.q[:, 1] - 0.1).max() < 1e-9
+
+
 def test_a_good_log_says_nothing(arm, good, tmp_path):
     log = logs.read(small_logs.write(tmp_path / "log.csv", good), arm)
     assert log.notes == () and log.unit == "N m" and log.has_torque
