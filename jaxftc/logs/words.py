@@ -30,6 +30,8 @@ ANGLE = tuple(
         "jointangles",
         "qmeasured",
         "qmsr",
+        "rax",
+        "robax",
     ]
 )
 TORQUE = tuple(

@@ -169,6 +169,13 @@ WRITTEN = {
     "a unit says what no word does": lambda path, table: small_logs.write(
         path, our(table, "J{} [rad]", "M{} (N m)", "Time [s]") | {f"Mext{k} [Nm]": table["t"] for k in (1, 2, 3)}, ";"
     ),
+    "rostopic echo -p": lambda path, table: small_logs.write(
+        path,
+        {"%time": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]}
+        | {f"field.name{k}": ["joint"] * len(table["t"]) for k in range(3)}
+        | our(table, "field.position{}", "field.effort{}", "field.header.stamp", first=0)
+        | {"field.header.stamp": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]},
+    ),
     "axes alone are angles": lambda path, table: small_logs.write(path, our(table, "A{}", "torque_A{}", "Time")),
     "joint names alone are angles": lambda path, table: small_logs.write(
         path, {"t": table["t"]} | {k.strip("_"): v for k, v in by_name(table, "{word}_{joint}", ("", "effort")).items()}
