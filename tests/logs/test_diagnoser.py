@@ -279,9 +279,19 @@ def test_what_the_diagnoser_refuses(config, calibration, call, message):
         call(diagnoser, diagnoser.init(np.zeros(3)))
 
 
+def test_seconds_of_healthy_motion_give_thresholds(config, calibration, log):
+    """Not far from those of a minute, and marked as a guess that the time does not bear out."""
+    short = Log(log.q[:600], log.tau[:600], dt=DT)
+    found = calibrate_on_logs(config, calibration.gains, [short], false_alarms=0.1)
+    ratio = np.asarray(found.gains.diagnosis.alpha_tau) / np.asarray(calibration.gains.diagnosis.alpha_tau)
+    assert (ratio > 0.3).all() and (ratio < 3).all()
+    assert found.promise.method == "tail" and found.promise.at_most_per_hour > 1000
+    assert events(config, found.gains, short).alarm_share == 0
+
+
 def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
     short = Log(log.q[:300], log.tau[:300], dt=DT)
-    with pytest.raises(ValueError, match=r"the logs hold 3 s; at least 10.3 s of healthy motion are needed"):
+    with pytest.raises(ValueError, match=r"the logs hold 3 s; at least 4 s of healthy motion are needed"):
         calibrate_on_logs(config, calibration.gains, [short])
     with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\)"):
         calibrate_on_logs(config, calibration.gains, [log], false_alarms=0)
