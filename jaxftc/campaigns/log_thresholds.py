@@ -1,7 +1,8 @@
 """Thresholds from recordings of a healthy arm, however short they are.
 
-The diagnosis runs over the logs with thresholds that nothing reaches. Of every second the largest statistics are kept. Each
-joint and channel is scaled by its own largest one; what is left is one series, the largest of all, and one factor.
+The diagnosis runs over the logs with thresholds that nothing reaches. Of every second the largest statistics are kept; logs
+of less than ten seconds are cut in ten. Each joint and channel is scaled by its own largest one; what is left is one
+series, the largest of all, and one factor.
 
 * The factor is the order statistic that a binomial law allows with the wanted confidence, where the logs hold enough runs.
 * Otherwise it comes from a fitted tail: what lies above a high quantile follows a generalised Pareto law. That is an
@@ -27,9 +28,9 @@ from jaxftc.evaluation.intervals import check_shares, tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
-from jaxftc.schemes.diagnoser import SETTLE, SLOW, stiction
+from jaxftc.schemes.diagnoser import SLOW, stiction
 
-BLOCK = 1.0  # s, over which the largest statistic is taken
+BLOCK, SHORTEST = 1.0, 0.4  # s, over which the largest statistic is taken; that of logs too short for enough of these
 RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
 FASTEST = 0.3  # of the sample rate
 WAIT = 2.0  # 1/s
@@ -116,14 +117,14 @@ def calibrate_on_logs(
     healthy = sum(len(log.q) for log in logs) * config.dt
     run = healthy / len(logs) if run is None else run
     checks.positive("run", run, "seconds")
-    noise, stiction = _noise_and_stiction(config, gains, logs)
-    found = _peaks(config, _open(config, gains.replace({"diagnosis.stiction": stiction})), logs)
-    blocks = len(found.w)
-    if blocks < LEAST_BLOCKS:
+    block = min(BLOCK, healthy / LEAST_BLOCKS)
+    if block < SHORTEST:
         raise ValueError(
-            f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * BLOCK + SETTLE:g} s of healthy motion are needed"
+            f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * SHORTEST:g} s of healthy motion are needed"
         )
-    level = _Level(false_alarms, confidence, blocks, max(1, round(run / BLOCK)))
+    noise, stiction = _noise_and_stiction(config, gains, logs)
+    found = _peaks(config, _open(config, gains.replace({"diagnosis.stiction": stiction})), logs, block)
+    level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
     gains = gains.replace(_thresholds(config, found, level) | {"diagnosis.stiction": stiction})
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
     promise = Promise(
@@ -133,7 +134,7 @@ def calibrate_on_logs(
         confidence=confidence,
         method=level.method,
         wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
-        fitted_per_hour=level.rate * 3600 / BLOCK if level.method == "tail" else None,
+        fitted_per_hour=level.rate * 3600 / block if level.method == "tail" else None,
         seen=seen,
         at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / (healthy / 3600)),
     )
@@ -234,9 +235,9 @@ def _diagnosed(config: Config, gains: Gains, logs: list[Log]):
             yield first, said
 
 
-def _peaks(config: Config, gains: Gains, logs: list[Log]) -> _Peaks:
-    """Largest statistics of every block; what is left over at the end of a stretch counts as one."""
-    size = max(1, round(BLOCK / config.dt))
+def _peaks(config: Config, gains: Gains, logs: list[Log], block: float) -> _Peaks:
+    """Largest statistics of every ``block`` s; what is left over at the end of a stretch counts as one."""
+    size = max(1, round(block / config.dt))
     tau, w, speed, last = [], [], np.zeros(config.n), None
     parts: list[tuple[np.ndarray, np.ndarray]] = []
     for _, said in _diagnosed(config, gains, logs):

@@ -140,11 +140,12 @@ def with_lead(config: Config, gains: Gains, lead: float) -> Gains:
 def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> list[Log]:
     """The logs, those of another rate than the first read again at its sample time."""
     from jaxftc import logs as module
+    from jaxftc.cli.identify import reading
 
     kept = []
     for path, log in zip(options.logs, logs, strict=True):
         if abs((log.dt or config.dt) - config.dt) > 1e-6 * config.dt:
-            log = module.read(path, config, recording=arm.recording, check=False)
+            log = module.read(path, config, recording=arm.recording, check=options.check, **reading(options))
             common.say(options, f"{path.name}: brought to the {1e3 * config.dt:g} ms of the first log")
         kept.append(log)
     return kept

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jaxftc.cli import common, results
-from jaxftc.cli.identify import LogOptions, column_names
+from jaxftc.cli.identify import LogOptions, reading
 from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
@@ -111,12 +111,10 @@ class Diagnose(LogOptions, common.ArmOptions):
     def _reading(self, arm: Arm) -> dict[str, Any]:
         return {
             "recording": arm.recording,
-            "columns": column_names(self.columns),
             "dt": self.dt,
-            "degrees": self.degrees,
-            "torque_per_ampere": self.torque_per_ampere or None,
             "check": self.check,
             "faulty": True,
+            **reading(self),
         }
 
     def _gains(self, arm: Arm, config: Config) -> Any:

@@ -53,21 +53,22 @@ def read_logs(options: Any, paths: tuple[Path, ...], arm: Arm) -> list[Log]:
     """Logs with the options of the command; what was found in each is said."""
     from jaxftc import logs
 
-    given, found = column_names(options.columns), []
+    found = []
     for path in paths:
-        log = logs.read(
-            path,
-            arm,
-            columns=given,
-            dt=options.dt,
-            degrees=options.degrees,
-            torque_per_ampere=options.torque_per_ampere or None,
-            check=options.check,
-        )
+        log = logs.read(path, arm, dt=options.dt, check=options.check, **reading(options))
         for note in log.notes:
             common.say(options, f"{path.name}: {note}")
         found.append(log)
     return found
+
+
+def reading(options: Any) -> dict[str, Any]:
+    """How the command's options say that the columns are read."""
+    return {
+        "columns": column_names(options.columns),
+        "degrees": options.degrees,
+        "torque_per_ampere": options.torque_per_ampere or None,
+    }
 
 
 @dataclasses.dataclass

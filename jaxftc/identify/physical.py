@@ -96,9 +96,11 @@ def dynamics(
     _check(robot, logs)
     motions = [motion(log) for log in logs]
     notes = [f"band of the motion: {_listed(np.min([m.band for m in motions], axis=0))} Hz by joint"]
-    if gain is None and any(log.unit == "A" for log in logs):
+    if gain is None and any(log.unit != "N m" for log in logs):
         gain = _first_gain(robot, motions)
-        notes.append(f"torque for one ampere, found on the file's model: {_listed(gain)} N m")
+        unit = next(log.unit for log in logs if log.unit != "N m")
+        what = {"A": "ampere"}.get(unit, unit)
+        notes.append(f"torque for one {what}, found on the file's model: {_listed(gain)} N m")
     gain = np.ones(robot.n) if gain is None else np.broadcast_to(np.asarray(gain, float), robot.n)
     data = gather(robot, motions, gain)
     prior = from_file(robot, data)
@@ -166,8 +168,8 @@ def judge(robot: Robot, logs: Log | Sequence[Log], *, gain: Any = 1.0, offset: A
     _check(robot, logs)
     left, torque = [], []
     for log in logs:
-        if log.unit == "A" and np.all(np.asarray(gain) == 1.0):
-            raise ValueError("the log has currents, and the N m for one ampere are not known; give torque_per_ampere")
+        if log.unit != "N m" and np.all(np.asarray(gain) == 1.0):
+            raise ValueError(f"the log has torques in {log.unit}, and the N m for one are not known; give torque_per_ampere")
         tau = np.broadcast_to(np.asarray(gain, float), robot.n) * np.asarray(log.tau, float)
         m = motion(log)  # at the ends of a stretch its speed is not known
         left.append((tau - np.asarray(offset, float) - torques(robot, m))[m.inside])
@@ -189,7 +191,10 @@ def _check(robot: Robot, logs: list[Log]) -> None:
         if np.shape(log.q) != np.shape(log.tau) or np.ndim(log.q) != 2 or np.shape(log.q)[1] != robot.n:
             raise ValueError(f"log {k} must have q and tau of [T, {robot.n}], got {np.shape(log.q)} and {np.shape(log.tau)}")
         if not log.has_torque:
-            raise ValueError(f"log {k} has no torques, so there is nothing to fit a model to; record them")
+            raise ValueError(
+                f"log {k} has no torques, so there is nothing to fit a model to; record them, or say which columns they are "
+                "with --columns tau1=NAME"
+            )
 
 
 def _listed(values: np.ndarray) -> str:

@@ -1,7 +1,7 @@
 """Which column is which: our names, the joints' names, and how ur_rtde, libfranka, PlotJuggler and LeRobot write them.
 
 A name is a word for the quantity and a joint, in any order and with any separators: ``q1``, ``tau_elbow``, ``actual_q_0``,
-``state.q[0]``, ``/joint_states/elbow/position``, ``observation.state.0``. Words are data, below.
+``state.q[0]``, ``/joint_states/elbow/position``, ``observation.state.0``. The words are in ``words``.
 """
 
 from __future__ import annotations
@@ -11,72 +11,15 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from jaxftc import checks
-from jaxftc.logs.formats import UNITS
+from jaxftc.logs.formats import unit_named
+from jaxftc.logs.words import ANGLE, CURRENT, PARTIAL, TIME, TORQUE, WANTED, core
 
-ANGLE = tuple(
-    [
-        "q",
-        "y",
-        "actualq",
-        "stateq",
-        "qactual",
-        "measuredq",
-        "qmeas",
-        "qpos",
-        "position",
-        "positions",
-        "pos",
-        "jointposition",
-        "jointpositions",
-        "jointpos",
-        "jointangle",
-        "angle",
-        "theta",
-        "actualposition",
-        "presentposition",
-        "observationstate",
-    ]
-)
-TORQUE = tuple(
-    [
-        "tau",
-        "torque",
-        "effort",
-        "efforts",
-        "tauj",
-        "statetauj",
-        "taumeasured",
-        "actualtau",
-        "actualtorque",
-        "jointtorque",
-        "jointtorques",
-        "jointeffort",
-        "actualjointtorques",
-        "measuredtorque",
-        "observationeffort",
-        "observationtorque",
-        "presenttorque",
-    ]
-)
-CURRENT = tuple(
-    [
-        "actualcurrent",
-        "current",
-        "i",
-        "currents",
-        "jointcurrent",
-        "motorcurrent",
-        "presentcurrent",
-        "measuredcurrent",
-        "observationcurrent",
-    ]
-)
-TIME = ("t", "time", "timestamp", "stamp", "seconds", "headerstamp", "times", "timestamps", "datetime")
-WANTED = re.compile(r"target|desired|command|cmd|goal|reference|setpoint|(^|[^a-z])ref([^a-z]|$)", re.IGNORECASE)
-_UNIT = re.compile(r"[\s_]*[\[(]\s*([A-Za-z°]+)\s*[\])]$|_([A-Za-z]+)$")
+_UNIT = re.compile(r"[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]$|_([A-Za-z]+)$")
+_JOINT = r"joints?|j|axis|motor|actuators?|servos?"
 _INDEX = (
-    re.compile(r"^(.*?)[\W_]*?(?:joint|j)?[\W_]*(\d+)[\W_]*()$", re.IGNORECASE),  # q1, state.q[0], position_joint_1
-    re.compile(r"^(.*?)(?:joint|j|axis|motor)[\W_]*(\d+)[\W_]+(.*)$", re.IGNORECASE),  # joint1_position
+    re.compile(r"^(.*?)[\W_]*?(?:joint|j|(?<![A-Za-z])(?:a|axis))?[\W_]*(\d+)[\W_]*()$", re.IGNORECASE),  # q1, state.q[0]
+    re.compile(rf"^(.*?)(?:{_JOINT}|(?<![A-Za-z])a)[\W_]*(\d+)[\W_]+(.*)$", re.IGNORECASE),  # joint1_position
+    re.compile(r"^(.*?)[\W_]*(\d+)[\W_]+((?:meas|act|msr|fbk|feedback|raw)[a-z]*)$", re.IGNORECASE),  # q1_measured
 )
 
 
@@ -86,7 +29,7 @@ class Columns(NamedTuple):
     time: str | None
     angle: list[str]
     torque: list[str] | None  # None where the file has none
-    units: dict[str, str | float]  # of "time", "angle", "torque", where a name says them
+    units: dict[str, list[str | float | None]]  # of "time", "angle", "torque", column by column; None: not said
     signs: dict[str, float]  # of columns that were given with a minus
     notes: list[str]
 
@@ -119,7 +62,7 @@ def find(
 
     def unit_of(column: str) -> str | float | None:
         unit = _bare(column)[1]
-        return UNITS.get((below or {}).get(column, "").lower()) if unit is None else unit
+        return unit_named((below or {}).get(column, "")) if unit is None else unit
 
     notes: list[str] = []
     chosen, signs = _given(names, len(joints), given or {})
@@ -127,24 +70,23 @@ def find(
     angle = _complete(chosen, "q", len(joints)) or _pick(groups, ANGLE, joints, notes)
     torque = _complete(chosen, "tau", len(joints)) or _pick(groups, TORQUE, joints, notes)
     current = None if torque else _pick(groups, CURRENT, joints, notes)
-    units: dict[str, str | float] = {}
     time = chosen.get("t") or next((n for word in TIME for n in names if _bare(n)[0] == word), None)
     if time is None:
         time = next((n for n in names if _bare(n)[0] in ("t", *TIME) or _last(n) in TIME), None)
     if angle is None:
         n = len(joints)
         raise ValueError(
-            f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {_listed(names)}; "
+            f"the log must have columns q1 to q{n} in rad, or q_{joints[0]} and so on; it has {listed(names)}; "
             f"say which they are with --columns q1=... to q{n}=..."
         )
-    if time is not None and (unit := unit_of(time)) is not None:
-        units["time"] = unit
-    for key, columns in (("angle", angle), ("torque", torque or current)):
-        unit = unit_of(columns[0]) if columns else None
-        if isinstance(unit, str):
-            units[key] = unit
+    units = {
+        "time": [unit_of(time) if time is not None else None],
+        "angle": [unit_of(column) for column in angle],
+        "torque": [unit_of(column) for column in torque or current or []],
+    }
     if current is not None:
-        units.setdefault("torque", "A")
+        own = "load" if "load" in current[0].lower() else "A"
+        units["torque"] = [unit or own for unit in units["torque"]]
     said = {"angle": angle, "torque": torque or current or []}
     for key, columns in said.items():
         if columns and _plain(columns[0]) not in (f"{'q' if key == 'angle' else 'tau'}1",) and not given:
@@ -181,7 +123,7 @@ def _plain(text: str) -> str:
 def _bare(name: str) -> tuple[str, str | float | None]:
     """A name without unit, lower case and without separators; and the unit."""
     found = _UNIT.search(name.strip())
-    unit = UNITS.get((found[1] or found[2]).lower()) if found else None
+    unit = unit_named(found[1] or found[2]) if found else None
     if found is None or unit is None:
         return _plain(name), None
     return _plain(name.strip()[: found.start()]), unit
@@ -206,18 +148,14 @@ def _groups(names: list[str], joints: tuple[str, ...]) -> list[_Group]:
         body = name.strip()
         unit = _UNIT.search(body)
         tail = body[unit.start() :] if unit and _bare(body)[1] is not None else ""
-        core = body[: len(body) - len(tail)]
+        plain = body[: len(body) - len(tail)]
         for alias, joint in aliases:
-            found = re.search(rf"(?<![A-Za-z0-9]){re.escape(alias)}(?![A-Za-z0-9])", core)
-            if found and core != alias:
-                put(
-                    True,
-                    core[: found.start()].strip("/._-[ ") + "/" + core[found.end() :].strip("/._-] ") + tail,
-                    joint,
-                    name,
-                )
+            found = re.search(rf"(?<![A-Za-z0-9]){re.escape(alias)}(?![A-Za-z0-9])", plain)
+            if found:
+                before, after = plain[: found.start()].strip("/._-[ "), plain[found.end() :].strip("/._-] ")
+                put(True, f"{before}/{after}{tail}", joint, name)
                 break
-        indexed = next((found for pattern in _INDEX if (found := pattern.match(core))), None)
+        indexed = next((found for pattern in _INDEX if (found := pattern.match(plain))), None)
         if indexed:
             put(False, indexed[1] + indexed[3] + tail, str(int(indexed[2])), name)
     return [groups[key] for key in sorted(groups, key=lambda key: not key[0])]
@@ -229,25 +167,61 @@ def _pick(groups: list[_Group], words: tuple[str, ...], joints: tuple[str, ...],
     for match in (lambda group: group.word, lambda group: _last(_strip_unit(group.path))):
         for word in words:
             there = [group for group in groups if match(group) == word]
-            whole = [(group, keys) for group in there if (keys := _keys(group, joints))]
-            if whole:
-                group, keys = _one(whole)
-                if double := next((key for key in keys if key in group.again), None):
-                    raise ValueError(
-                        f"columns {group.columns[double]!r} and {group.again[double]!r} name one thing; remove one, or say "
-                        "which with --columns"
-                    )
-                more = len(group.columns) - len(joints)
-                if more > 0:
-                    notes.append(f"{more} columns of {group.path!r} beyond the arm's {len(joints)} joints are left out")
-                return [group.columns[key] for key in keys]
-            short = short or next(iter(there), None)
+            if found := _whole(there, joints, notes):
+                return found
+            short = short or next((group for group in there if "load" not in word), None)  # a computer has one, too
+    for word in words:  # units differ from joint to joint
+        if found := _whole(_joined([group for group in groups if group.word == word]), joints, notes):
+            return found
+    for word in (*words, *([""] if words is ANGLE else [])):  # joints alone, without a word, are angles
+        if found := _whole([g for g in groups if core(_strip_unit(g.path)) == word and _says(g)], joints, notes):
+            return found
+    kinds = {ANGLE: ("rad", "deg", "mrad"), TORQUE: ("N m", "mN m", "N cm")}.get(words, ())
+    if found := _whole(
+        [g for g in groups if g.unit in kinds and not re.search(f"{WANTED.pattern}|{PARTIAL.pattern}", g.path, re.I)],
+        joints,
+        notes,
+    ):
+        return found  # a word that is not known, but its unit is
     if short is not None and not set(short.columns) <= {"0", "1"}:
         raise ValueError(
             f"the log must have columns {words[0]}1 to {words[0]}{len(joints)} for the arm's {len(joints)} joints "
-            f"({', '.join(joints)}); it has {_listed(list(short.columns.values()))}; say which they are with --columns"
+            f"({', '.join(joints)}); it has {listed(list(short.columns.values()))}; say which they are with --columns"
         )
     return None
+
+
+def _whole(there: list[_Group], joints: tuple[str, ...], notes: list[str]) -> list[str] | None:
+    """Columns of the one group that has all joints; None if none has."""
+    whole = [(group, keys) for group in there if (keys := _keys(group, joints))]
+    if not whole:
+        return None
+    group, keys = _one(whole)
+    if double := next((key for key in keys if key in group.again), None):
+        raise ValueError(
+            f"columns {group.columns[double]!r} and {group.again[double]!r} name one thing; remove one, or say which with "
+            "--columns"
+        )
+    more = len(group.columns) - len(joints)
+    if more > 0:
+        notes.append(f"{more} columns of {group.path!r} beyond the arm's {len(joints)} joints are left out")
+    return [group.columns[key] for key in keys]
+
+
+def _joined(there: list[_Group]) -> list[_Group]:
+    """Groups that differ in their unit only, as one."""
+    out: dict[tuple[bool, str], _Group] = {}
+    for group in there:
+        by_name = not next(iter(group.columns)).isdigit()
+        one = out.setdefault((by_name, _strip_unit(group.path).lower()), group._replace(columns={}, again={}))
+        one.again.update({key: column for key, column in group.columns.items() if key in one.columns})
+        one.columns.update({key: column for key, column in group.columns.items() if key not in one.columns})
+    return list(out.values())
+
+
+def _says(group: _Group) -> bool:
+    """Whether its columns are more than numbers, and no wanted values."""
+    return any(c.isalpha() for column in group.columns.values() for c in column) and not WANTED.search(group.path)
 
 
 def _keys(group: _Group, joints: tuple[str, ...]) -> list[str] | None:
@@ -271,5 +245,6 @@ def _strip_unit(path: str) -> str:
     return path if _bare(path)[1] is None else path[: _UNIT.search(path.strip()).start()]  # pyright: ignore[reportOptionalMemberAccess]
 
 
-def _listed(names: list[str]) -> str:
+def listed(names: list[str]) -> str:
+    """The first thirty names, and how many more there are."""
     return ", ".join(names[:30]) + (f" and {len(names) - 30} more" if len(names) > 30 else "")

@@ -6,6 +6,7 @@ A reader takes a path and returns a ``Table``. Nothing is interpreted there: nam
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -27,10 +28,17 @@ READERS = {  # suffix: module
 }
 
 UNITS = {
-    "s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9, "min": 60.0,
-    "h": 3600.0, "deg": "deg", "degrees": "deg", "°": "deg", "mrad": "mrad", "rev": "turn", "turns": "turn", "rad": "rad",
-    "nm": "N m", "mnm": "mN m", "a": "A", "ma": "mA",
+    "s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "usec": 1e-6,
+    "ns": 1e-9, "nsec": 1e-9, "min": 60.0, "h": 3600.0, "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
+    "mrad": "mrad", "rev": "turn", "revs": "turn", "turn": "turn", "turns": "turn", "rad": "rad", "radian": "rad",
+    "radians": "rad", "nm": "N m", "mnm": "mN m", "ncm": "N cm", "a": "A", "amp": "A", "amps": "A", "ma": "mA", "%": "%",
+    "percent": "%", "‰": "permille", "permille": "permille",
 }  # fmt: skip
+
+
+def unit_named(text: str) -> float | str | None:
+    """The unit that a text such as ``N·m`` names: a number of seconds, or a name; None where it names none."""
+    return UNITS.get(re.sub(r"[\s·⋅*.-]", "", text.lower()))
 
 
 class Table(NamedTuple):

@@ -31,7 +31,7 @@ class Log(NamedTuple):
     dt: float | None = None  # s, sample time; None: that of the config that it is used with
     segments: tuple[tuple[int, int], ...] = ()  # [start, stop) of stretches without a gap; none: all is one stretch
     notes: tuple[str, ...] = ()  # what was found and repaired in the file, one line each
-    unit: str = "N m"  # of tau; "A" where currents were recorded and the torque for one is not known
+    unit: str = "N m"  # of tau; another ("A", "%") where the torque for one is not known
     jitter: np.ndarray | None = None  # [T] s, by which the time between readings may be wrong; None: by nothing
     degrees: bool = False  # the file has its angles in degrees; q is in rad all the same
 

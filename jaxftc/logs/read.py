@@ -16,7 +16,7 @@ from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.logs.against_model import doubts
 from jaxftc.logs.clock import order, resample
-from jaxftc.logs.columns import Columns, find
+from jaxftc.logs.columns import Columns, find, listed
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
 from jaxftc.logs.readings import in_degrees, no_angles, no_readings, no_torques, other_rows, still, timing_error, unwrapped
@@ -27,7 +27,9 @@ from jaxftc.robot.model import Robot
 
 LEAST_ROWS = 100
 FARTHEST, STRONGEST = 1e4, 1e6  # rad and N m that no joint reads
-ANGLES = {"mrad": 1e-3, "turn": 2 * np.pi}  # rad
+ANGLES = {"rad": 1.0, "deg": np.pi / 180, "mrad": 1e-3, "turn": 2 * np.pi}  # rad
+TORQUES = {"N m": 1.0, "mN m": 1e-3, "N cm": 1e-2}  # N m
+UNKNOWN = {"A": "A", "mA": "A", "%": "%", "permille": "permille", "load": "load"}  # units whose N m are not known
 UNSURE = 6.0  # standard deviations of the time of a reading
 SLOWER = 2.2  # a sample time this much shorter than the log's own would be made up between its rows
 
@@ -108,9 +110,15 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     notes, unit = [*table.notes, *found.notes], "N m"
     q = _numbers(table, found, found.angle, "rad")
     tau = _numbers(table, found, found.torque, "N m") if found.torque else None
-    if tau is None:
-        notes.append("the file has no torques: readings alone are judged; torques and the model cannot be")
-    else:
+    if tau is not None and not np.nan_to_num(tau).any():  # as drivers write that do not know them
+        tau = None
+        notes.append("torques are 0 or empty in every row of every joint: taken as not recorded, readings alone are judged")
+    elif tau is None:
+        notes.append(
+            f"the file has no torques: readings alone are judged; torques and the model cannot be (columns: "
+            f"{listed(list(table.columns))})"
+        )
+    if tau is not None:
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
     q, degrees = _angles(robot, q, found, options, notes)
@@ -143,7 +151,9 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right
     log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter, degrees=degrees)
     if tau is not None and options.check:
-        wrong, noticed = doubts(robot, q, slow_speed(log), torque, amperes=unit == "A")
+        wrong, noticed = doubts(
+            robot, q, slow_speed(log), torque, raw=unit != "N m", degrees=degrees, named=any(found.units["angle"])
+        )
         if wrong and options.faulty:
             notes.append(f"{'; '.join(wrong)}, unless that is the fault")
         elif wrong:
@@ -194,15 +204,22 @@ def _angles(robot: Robot, q: np.ndarray, found: Columns, options: _Options, note
     Raises:
         ValueError: they cannot be angles.
     """
-    unit = str(found.units.get("angle", ""))
-    why = "its columns say so" if unit == "deg" else None if unit else in_degrees(robot, q)
+    units = [unit if unit in ANGLES else None for unit in found.units["angle"]]
+    why = "its columns say so" if set(units) == {"deg"} else None if any(units) else in_degrees(robot, q)
     degrees = bool(options.degrees or (options.degrees is None and why))
     if degrees:
         notes.append(f"angles are in degrees ({why or 'as given'}); turned into rad")
         q = np.deg2rad(q)
-    elif unit in ANGLES:
-        notes.append(f"angles are in {unit}, as their columns say; turned into rad")
-        q = ANGLES[unit] * q
+    elif any(units) and set(units) != {"rad"} and not (options.degrees is False and "deg" in units):
+        if None in units:
+            j = units.index(None)
+            raise ValueError(
+                f"column {found.angle[j]!r} has no unit and others have; name the unit of each angle in the head, such as "
+                "q1 [rad]"
+            )
+        listed = units[0] if len(set(units)) == 1 else f"{', '.join(map(str, units))} by joint"
+        notes.append(f"angles are in {listed}, as their columns say; turned into rad")
+        q = np.array([ANGLES[str(unit)] for unit in units]) * q
     lost = no_readings(robot, q) if options.check else np.zeros(q.shape, bool)
     if lost.any():
         row, j = np.argwhere(lost)[0]
@@ -224,23 +241,29 @@ def _torque(
     notes: list[str],
 ) -> tuple[np.ndarray, str]:
     """Torques [rows, n] with the gain and offset that are known, and their unit."""
-    current = found.units.get("torque") in ("A", "mA")
-    if found.units.get("torque") in ("mA", "mN m"):
-        tau = 1e-3 * tau
+    units = [unit if unit in TORQUES or unit in UNKNOWN else "N m" for unit in found.units["torque"]]
+    raw = next((UNKNOWN[str(unit)] for unit in units if unit in UNKNOWN), None)
+    if raw and len(set(units)) > 1:
+        raise ValueError(
+            f"the torque columns are in {', '.join(map(str, units))} by joint; give all in one unit, or --torque-per-ampere"
+        )
+    tau = tau * np.array([1e-3 if unit == "mA" else TORQUES.get(str(unit), 1.0) for unit in units])
     gain = recording.torque_gain if torque_per_ampere is None else torque_per_ampere
     if gain is not None:
         gain = np.asarray(gain, float)
         if gain.shape not in ((), (1,), (robot.n,)) or not np.isfinite(gain).all() or (gain == 0).any():
             raise ValueError(f"torque_per_ampere must be one number or {robot.n}, finite and not 0, got {torque_per_ampere}")
         notes.append(f"torques are the columns times {np.array2string(gain, precision=4)} N m")
-        tau, current = tau * gain, False
-    if current:
+        tau, raw = tau * gain, None
+    if raw:
+        what = {"A": "torques are currents in A", "load": "torques are loads as the servos count them"}
         notes.append(
-            "torques are currents in A, and the N m for one are not known: identify finds them, or give torque_per_ampere"
+            f"{what.get(raw, f'torques are in {raw}')}, and the N m for one are not known: identify finds them, or give "
+            "torque_per_ampere"
         )
     elif recording.torque_offset is not None:
         tau = tau + np.asarray(recording.torque_offset)
-    return tau, "A" if current else "N m"
+    return tau, raw or "N m"
 
 
 def _absurd(names: list[str], values: np.ndarray, rows: np.ndarray, most: float, what: str) -> None:

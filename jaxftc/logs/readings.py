@@ -24,7 +24,9 @@ def in_degrees(robot: Robot, q: np.ndarray) -> str | None:
     beyond = size > np.maximum(1.5 * ranges, TURN + 0.5)
     if beyond.any() and (np.deg2rad(size) <= 1.1 * ranges).all():
         j = int((size / ranges).argmax())
-        return f"joint {j + 1} ({robot.joint_names[j]}) reaches {size[j]:.4g}, its range ends at {ranges[j]:.3g} rad"
+        alone = beyond.sum() == 1 and ((np.ptp(q, axis=0) > TURNS) & ~beyond).any()
+        only = "; no other joint shows it, so name the units in the head if they differ" if alone else ""
+        return f"joint {j + 1} ({robot.joint_names[j]}) reaches {size[j]:.4g}, its range ends at {ranges[j]:.3g} rad{only}"
     if not np.isfinite(ranges).any() and size.max() > FAR:
         return f"joint {size.argmax() + 1} reaches {size.max():.4g}"
     return None
@@ -118,14 +120,23 @@ def other_rows(t: np.ndarray, q: np.ndarray, tau: np.ndarray | None, rows: np.nd
     jumps = (steps > JUMP) & (steps > FAST * np.diff(t)[:, None])
     wild = np.zeros(len(t), bool)
     wild[1:] = jumps.sum(1) > 1
-    if tau is not None:
-        wild |= (np.abs(tau) > STRONG * np.where(limit > 0, limit, np.inf)).sum(1) > 1
-    if not wild.any():
+    strong = np.zeros(q.shape, bool) if tau is None else np.abs(tau) > STRONG * np.where(limit > 0, limit, np.inf)
+    forced = strong.sum(1) > 1
+    if not wild.any() and not forced.any():
         return None
-    first, last = np.flatnonzero(wild)[[0, -1]]
-    j = int(steps[max(first - 1, 0)].argmax())
-    return (
-        f"row {rows[first] + 1}, column of joint {j + 1}: {q[first, j]:.6g} rad after {q[max(first - 1, 0), j]:.6g} rad, "
-        f"and other joints jump with it; {wild.sum()} such rows, the last is row {rows[last] + 1}: they are no readings of "
-        "this arm, so cut them out of the file"
-    )
+    first, last = np.flatnonzero(wild | forced)[[0, -1]]
+    if tau is not None and forced[first] and not wild[first]:
+        j = int(np.flatnonzero(strong[first])[0])
+        what = (
+            f"column of torque {j + 1}: {tau[first, j]:.6g} N m, the limit is {limit[j]:.4g} N m, and other joints exceed "
+            f"theirs with it; {(wild | forced).sum()} such rows, the last is row {rows[last] + 1}: "
+        )
+        rest = "another unit, or no readings of this arm; name the unit in the head, such as tau1 [mNm], or cut them out"
+    else:
+        j = int(steps[max(first - 1, 0)].argmax())
+        what = (
+            f"column of joint {j + 1}: {q[first, j]:.6g} rad after {q[max(first - 1, 0), j]:.6g} rad, and other joints jump "
+            f"with it; {(wild | forced).sum()} such rows, the last is row {rows[last] + 1}: "
+        )
+        rest = "they are no readings of this arm, so cut them out of the file"
+    return f"row {rows[first] + 1}, {what}{rest}"

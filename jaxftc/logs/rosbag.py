@@ -26,26 +26,23 @@ def read(path: Path) -> Table:
         ValueError: no JointState in the bag, a damaged message, or the extra ``logs`` is needed and not installed.
     """
     messages = _sqlite(path) if path.suffix.lower() == ".db3" else _rosbags(path)
-    topic, names, notes = "", None, []
-    stamps, values, dropped = [], [], 0
+    topic, count = "", 0
+    publishers: dict[frozenset[str], tuple[list[str], list[int], list[tuple[np.ndarray, ...]]]] = {}
     for at, received, data in messages:
-        topic = at
+        topic, count = at, count + 1
         try:
             stamp, found, signals = joint_state(data)
         except (struct.error, UnicodeDecodeError, IndexError, ValueError) as error:
-            raise ValueError(
-                f"{path}: message {len(stamps) + 1} on {topic} is damaged ({error}); cut the bag there"
-            ) from error
-        names = names or found
+            raise ValueError(f"{path}: message {count} on {topic} is damaged ({error}); cut the bag there") from error
+        names, stamps, values = publishers.setdefault(frozenset(found), (found, [], []))
         if found != names:
-            if set(found) != set(names):
-                dropped += 1  # a gripper that publishes on the same topic, for instance
-                continue
             signals = tuple(s[[found.index(name) for name in names]] if len(s) else s for s in signals)
         stamps.append(stamp or received)
         values.append(signals)
-    if not stamps or not names:
+    if not any(publishers):
         raise ValueError(f"{path}: there is no message of sensor_msgs/JointState in the bag; record /joint_states")
+    names, stamps, values = max(publishers.values(), key=lambda one: (len(one[0]), len(one[1])))  # not a gripper's
+    dropped, notes = count - len(stamps), []
     if dropped:
         notes.append(f"{dropped} messages on {topic} name other joints than {', '.join(names)} and are left out")
     columns: dict[str, np.ndarray] = {"t_ns": np.array(stamps, np.int64)}

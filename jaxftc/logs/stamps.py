@@ -35,13 +35,13 @@ def times(table: Table, found: Columns, dt: float | None, q: np.ndarray, notes: 
         notes.append(f"no column of time: rows are {1e3 * dt:g} ms apart, as given")
         return dt * np.arange(len(q))
     try:
-        t, said = seconds(table.columns[name], found.units.get("time"))
+        t, said = seconds(table.columns[name], found.units["time"][0])
     except ValueError as error:
         if dt is None:
             raise ValueError(f"column {name!r} {error}; without it, --dt gives the time between rows") from error
         notes.append(f"column {name!r} {error}; rows are {1e3 * dt:g} ms apart, as given")
         return dt * np.arange(len(q))
-    if "time" not in found.units and said != "time is a date":
+    if found.units["time"][0] is None and said != "time is a date":
         t, said = _plausible(name, t, q, said)
     notes += [said] if said else []
     again = (np.diff(t) == 0) & (q[1:] == q[:-1]).all(1)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxftc.logs.formats import UNITS, Table
+from jaxftc.logs.formats import Table, unit_named
 
 COMMENT = ("#", "%", "//")
 NUMBER = r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)"
@@ -94,13 +94,15 @@ def _top(comments: list[str], lines: list[tuple[int, str]]) -> _Top:
     cut = _separator([text for _, text in lines])
     lines, notes = _from_head(lines, cut)
     head, first = _cells(lines[0][1], cut), lines[0][1]
-    named = not all(_NUMBER.fullmatch(cell) or not cell for cell in head)
-    if named:
+    numbers = [bool(_NUMBER.fullmatch(cell)) for cell in head]
+    named = not all(number or not cell for number, cell in zip(numbers, head, strict=True))
+    above = _cells(comments[-1], cut) if comments else []
+    if len(above) == len(head) and any(numbers):  # a row that begins with numbers is no head, whatever text it has
+        head, named = above, True
+    elif named:
         again = [number for number, text in lines[1:] if text == first]
         notes += [f"the head stands again in line {again[0]}, left out ({len(again)} times in all)"] if again else []
         lines = [(number, text) for number, text in lines[1:] if text != first]
-    elif comments and len(_cells(comments[-1], cut)) == len(head):
-        head, named = _cells(comments[-1], cut), True
     else:
         head = [f"column {k + 1}" for k in range(len(head))]
     units = _units(head, lines, cut) if named else {}
@@ -146,7 +148,7 @@ def _units(head: list[str], lines: list[tuple[int, str]], cut: str | None) -> di
     cells = [cell.strip("[]()") for cell in _cells(lines[0][1], cut)] if lines else []
     if len(cells) != len(head) or not any(cells) or any(_NUMBER.fullmatch(cell) for cell in cells):
         return {}
-    return dict(zip(head, cells, strict=True)) if any(cell.lower() in UNITS for cell in cells) else {}
+    return dict(zip(head, cells, strict=True)) if any(unit_named(cell) is not None for cell in cells) else {}
 
 
 def _decimal_comma(lines: list[tuple[int, str]], cut: str | None) -> bool:

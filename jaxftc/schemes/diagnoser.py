@@ -185,7 +185,8 @@ def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> 
     """What friction holds of the residual r [n, ...] N m at speeds qd [n, ...] rad/s, what is carried, and the time of rest.
 
     For a while after a joint has come to rest, any torque up to ``diagnosis.stiction``; then what it held, and slow
-    changes of it. It dies out as the residual does once the joint moves. While there is an alarm it stays.
+    changes of it; none while there is an alarm. It dies out as the residual does once the joint moves, alarm or not: else an
+    alarm at the start of a motion would last.
 
     The residual is a mean of the past, so that what it had when the joint slowed down is carried on. Friction explains what
     comes to it afterwards, and not the impact that stopped the joint.
@@ -196,7 +197,8 @@ def _offset(config: Config, gains: Gains, state: State, r: Array, qd: Array) -> 
     gain = jnp.where(slow < OFFSET, 1.0, dt / OFFSET)
     held = jnp.clip(state.offset + gain * (r - carried - state.offset), -own, own)
     offset = jnp.where(slow > 0, held, fade * state.offset)
-    return jnp.where(state.alarm.tau > 0, jnp.clip(state.offset, -own, own), offset), carried, slow
+    stays = (state.alarm.tau > 0) & (slow > 0)
+    return jnp.where(stays, jnp.clip(state.offset, -own, own), offset), carried, slow
 
 
 def stiction(robot: Robot) -> tuple[np.ndarray, np.ndarray]:

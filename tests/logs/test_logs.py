@@ -143,6 +143,43 @@ WRITTEN = {
     "turns in the name": lambda path, table: small_logs.write(
         path, our({k: v / (2 * np.pi) if k[0] == "q" else v for k, v in table.items()}, q="position_{} (rev)")
     ),
+    "units joint by joint in the names": lambda path, table: small_logs.write(
+        path,
+        {
+            "t [s]": table["t"],
+            "q1 [rad]": table["q1"],
+            "q2 [deg]": np.rad2deg(table["q2"]),
+            "q3 [mrad]": 1e3 * table["q3"],
+            "tau1 [N·m]": table["tau1"],
+            "tau2 [Nm]": table["tau2"],
+            "tau3 [N cm]": 1e2 * table["tau3"],
+        },
+        ";",
+    ),
+    "measuredJointPosition": lambda path, table: small_logs.write(
+        path,
+        our(table, "measuredJointPosition[{}]", "measuredTorque[{}]", "timestamp", first=0)
+        | {f"externalTorque[{k}]": table["t"] for k in range(3)}
+        | {f"commandedJointPosition[{k}]": table["t"] for k in range(3)},
+    ),
+    "actuators[0].position": lambda path, table: small_logs.write(
+        path, our(table, "base.actuators[{}].position", "base.actuators[{}].torque", "time_us", first=0) | us(table)
+    ),
+    "q1_measured": lambda path, table: small_logs.write(path, our(table, "q{}_measured", "tau{}_measured", "elapsed_time")),
+    "a unit says what no word does": lambda path, table: small_logs.write(
+        path, our(table, "J{} [rad]", "M{} (N m)", "Time [s]") | {f"Mext{k} [Nm]": table["t"] for k in (1, 2, 3)}, ";"
+    ),
+    "rostopic echo -p": lambda path, table: small_logs.write(
+        path,
+        {"%time": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]}
+        | {f"field.name{k}": ["joint"] * len(table["t"]) for k in range(3)}
+        | our(table, "field.position{}", "field.effort{}", "field.header.stamp", first=0)
+        | {"field.header.stamp": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]},
+    ),
+    "axes alone are angles": lambda path, table: small_logs.write(path, our(table, "A{}", "torque_A{}", "Time")),
+    "joint names alone are angles": lambda path, table: small_logs.write(
+        path, {"t": table["t"]} | {k.strip("_"): v for k, v in by_name(table, "{word}_{joint}", ("", "effort")).items()}
+    ),
     "a row of units": lambda path, table: path.write_text(
         below_head(
             small_logs.write(path, {k: np.rad2deg(v) if k[0] == "q" else v for k, v in table.items()}),
@@ -163,6 +200,11 @@ WRITTEN = {
         | by_name(table, "/joint_states/{joint}/{word}", ("position", "effort")),
     ),
 }
+
+
+def us(table):
+    """The time in whole microseconds of a clock."""
+    return {"time_us": [1_700_000_000_000_000 + round(1e6 * t) for t in table["t"]]}
 
 
 def clock(t):
@@ -232,6 +274,21 @@ def test_a_bag_is_read_without_metadata_beside_it(arm, good, tmp_path):
     same(logs.read(bag(tmp_path / "log.db3", good), arm), good)
 
 
+def test_a_gripper_on_the_same_topic_is_left_out(arm, good, tmp_path):
+    path = bag(tmp_path / "log.db3", good)
+    with sqlite3.connect(path) as base:
+        for k in range(900):  # more often than the arm, and before it
+            stamp = 10**18 + k * 7 * 10**6
+            base.execute(
+                "insert into messages values (?, 1, ?, ?)",
+                (1000 + k, stamp, joint_state(stamp, ["finger"], [0.01], [], [0.0])),
+            )
+    base.close()
+    log = logs.read(path, arm)
+    same(log, good)
+    assert any("900 messages on /joint_states name other joints than elbow_joint, pan" in note for note in log.notes)
+
+
 def test_mcap_is_read(arm, good, tmp_path):
     pytest.importorskip("rosbags", reason="the extra `logs`")
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -296,6 +353,11 @@ def scrambled(table):
     return {k: np.r_[v[:99], 253.0, v[100:]] if k[0] == "q" else v for k, v in table.items()}
 
 
+def times(table, factor, *names):
+    """Columns of those words, or of those names, times a factor."""
+    return {k: factor * v if k in names or k.rstrip("123") in names else v for k, v in table.items()}
+
+
 K = np.arange(600)
 REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
     "no time": (lambda t: without(t, "t"), "no column of time (t, time, timestamp, ...) among q1, q2, q3"),
@@ -331,6 +393,10 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
     "a number of rows of another message": (
         lambda t: {k: np.where((K > 10) & (K < 16), 40.0 * K, v) if k[0] == "q" else v for k, v in t.items()},
         "such rows, the last is row 17: they are no readings of this arm, so cut them out of the file",
+    ),
+    "torques of another message": (
+        lambda t: {k: np.where(K == 40, 1e4, v) if k[:3] == "tau" else v for k, v in t.items()},
+        "row 41, column of torque 1: 10000 N m, the limit is 80 N m, and other joints exceed theirs with it; 1 such rows",
     ),
     "torque turned round": (
         lambda t: t | {"tau2": -t["tau2"]},
@@ -386,6 +452,38 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
         "in half of the rows, its range ends at 3.1 rad: counts, milliradians, or the motor's side of the gear?",
     ),
     "milliradians": (lambda t: {k: 1e3 * v if k[0] == "q" else v for k, v in t.items()}, "angles of joint 1 (pan) are"),
+    "one angle in degrees": (
+        lambda t: times(t, 180 / np.pi, "q2"),
+        "column of angle 2 (shoulder_joint) makes the torques fit in degrees while the others are in rad; name the unit",
+    ),
+    "one angle in degrees, no gravity on it": (
+        lambda t: times(t, 180 / np.pi, "q1"),
+        "column of angle 1 (pan) makes the torques fit in degrees while the others are in rad; name the unit of every angle",
+    ),
+    "one angle in rad": (
+        lambda t: times(t, 180 / np.pi, "q1", "q3"),
+        "column of angle 2 (shoulder_joint) makes the torques fit in rad while the others are in degrees; name the unit",
+    ),
+    "one angle in turns": (
+        lambda t: times(t, 0.5 / np.pi, "q2"),
+        "column of angle 2 (shoulder_joint) makes the torques fit in turns while the others are in rad; name the unit",
+    ),
+    "angles in turns": (
+        lambda t: times(t, 0.5 / np.pi, "q"),
+        "the angles of all joints make the torques fit in turns; name the unit in the head, such as q1 [rev]",
+    ),
+    "one angle without a unit": (
+        lambda t: renamed(t, t="t", q1="q1 [deg]", q2="q2", q3="q3 [deg]"),
+        "column 'q2' has no unit and others have; name the unit of each angle in the head, such as q1 [rad]",
+    ),
+    "torques of two units": (
+        lambda t: renamed(t, t="t", q1="q1", q2="q2", q3="q3", tau1="i1 [A]", tau2="i2 [mA]", tau3="i3 [A]"),
+        "the torque columns are in A, mA, A by joint; give all in one unit, or --torque-per-ampere",
+    ),
+    "torques on the motors' side": (
+        lambda t: times(t, 0.01, "tau"),
+        "the torque columns look like another unit, torques on the motor's side of the gear or shares of a rated torque",
+    ),
     "millinewtonmetres": (
         lambda t: {k: 1e3 * v if k[:3] == "tau" else v for k, v in t.items()},
         "in half of the rows, its limit is 80 N m: another unit?",
@@ -512,6 +610,10 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
         {"check": False},
     ),
     "no torques": (lambda t: without(t, "tau1", "tau2", "tau3"), "the file has no torques: readings alone are judged"),
+    "torques that a driver does not know": (
+        lambda t: times(t, 0.0, "tau"),
+        "torques are 0 or empty in every row of every joint: taken as not recorded, readings alone are judged",
+    ),
     "currents by name": (
         lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="actual_current_{}"),
         "torques are currents in A, and the N m for one are not known",
@@ -519,6 +621,14 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
     "currents without a word": (
         lambda t: {k: v / 9 if k[:3] == "tau" else v for k, v in t.items()},
         "the torque columns look like another unit",
+    ),
+    "shares of a rated torque by name": (
+        lambda t: our(times(t, 2.0, "tau"), tau="torque_{} [%]"),
+        "torques are in %, and the N m for one are not known: identify finds them, or give torque_per_ampere",
+    ),
+    "loads of servos": (
+        lambda t: our(times(t, 9.0, "tau"), tau="present_load_{}"),
+        "torques are loads as the servos count them, and the N m for one are not known",
     ),
     "currents with their constant": (
         lambda t: our({k: v / 9 if k[:3] == "tau" else v for k, v in t.items()}, tau="i_{} [A]"),
@@ -549,6 +659,22 @@ def test_what_is_repaired_is_said_in_one_line(oddity, arm, good, tmp_path):
     assert np.isfinite(log.q).all() and np.abs(np.diff(log.q[slice(*log.stretches[0])], axis=0)).max() < 0.1
 
 
+@pytest.mark.parametrize("seed", [2, 3, 4])
+@pytest.mark.parametrize("degrees", [False, True])
+def test_units_of_good_logs_are_not_doubted(arm, tmp_path, seed, degrees):
+    """Heavier links than the file's, and a joint that stands."""
+    table = small_logs.table(arm, seed=seed)
+    table |= {f"tau{j}": factor * table[f"tau{j}"] for j, factor in ((1, 0.8), (2, 1.4), (3, 1.8))}
+    log = logs.read(small_logs.write(tmp_path / "a.csv", times(table, 180 / np.pi if degrees else 1.0, "q")), arm)
+    assert log.degrees == degrees and len(log.notes) == degrees
+    t, q, qd, qdd = small_logs.motion(8.0, 100.0, seed)
+    q[:, 1], qd[:, 1], qdd[:, 1] = 0.1, 0.0, 0.0
+    tau = small_logs.torque(arm, q, qd, qdd)
+    table = {"t": t} | {f"q{j + 1}": q[:, j] for j in range(3)} | {f"tau{j + 1}": tau[:, j] for j in range(3)}
+    log = logs.read(small_logs.write(tmp_path / "b.csv", times(table, 180 / np.pi if degrees else 1.0, "q")), arm)
+    assert log.degrees == degrees and np.abs(log.q[:, 1] - 0.1).max() < 1e-9
+
+
 def test_a_good_log_says_nothing(arm, good, tmp_path):
     log = logs.read(small_logs.write(tmp_path / "log.csv", good), arm)
     assert log.notes == () and log.unit == "N m" and log.has_torque
@@ -563,6 +689,25 @@ def test_torques_that_show_nothing_are_not_doubted(arm, tmp_path):
     table |= {f"tau{j}": level + 0.5 * rng.standard_normal(600) for j, level in ((1, 5.0), (2, -12.0), (3, -3.0))}
     notes = logs.read(small_logs.write(tmp_path / "log.csv", table), arm).notes
     assert len(notes) == 2 and all("stood still" in note for note in notes)
+
+
+def test_an_angle_that_is_dead_under_load_is_refused(arm, tmp_path):
+    """Friction does not hold what the torque changes by. A joint that stands may do with what it holds."""
+    t, q, qd, qdd = small_logs.motion(12.0, 100.0, 1)
+    weak = arm.replace(torque_limit=np.array([30.0, 30.0, 30.0]))
+    for stands in (False, True):
+        q[:, 1] = -0.6 if stands else -0.6 + 1.2 * np.sin(0.7 * t)
+        qd[:, 1], qdd[:, 1] = np.gradient(q[:, 1], t), 0.0
+        tau = small_logs.torque(arm, q, qd, qdd)
+        table = {"t": t} | {f"q{j + 1}": q[:, j] for j in range(3)} | {f"tau{j + 1}": tau[:, j] for j in range(3)}
+        path = small_logs.write(tmp_path / "log.csv", table | {"q2": np.full(len(t), q[0, 1])})
+        if stands:
+            assert any("stood still, or its column is dead" in note for note in logs.read(path, weak).notes)
+            continue
+        words = r"column of angle 2 \(shoulder_joint\) is -0.6 rad in every row while its torque changes by \d+\.\d N m"
+        with pytest.raises(ValueError, match=words):
+            logs.read(path, weak)
+        assert any("it is dead, unless that is the fault" in note for note in logs.read(path, weak, faulty=True).notes)
 
 
 def test_segments_do_not_touch(arm, good, tmp_path):
