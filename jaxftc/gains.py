@@ -98,9 +98,9 @@ class ControlGains:
     alpha_sm2: Array = gain("n", "rad/s^2", 10.0, low=0.0, doc="switching gain of ESMC and AFESMC")
     k_b: Array = gain("n", "1/s", 0.0, low=0.0, doc="linear reaching term; the paper's K_beta, which only its proof has")
     eps: Array = gain("n", "rad/s", 0.5, above=0.0, doc="boundary layer of sgn(s)")
-    speed_weight: Array = gain("n", "1", 0.08, above=0.0, high=1.0, doc="weight of measured against predicted speed")
+    speed_weight: Array = gain("n", "1", 0.15, above=0.0, high=1.0, doc="weight of measured against predicted speed")
     rate: Array = gain(
-        "n", "1/s", 150.0, low=0.0, doc="rate at which the compensation takes up what psi leaves of a fault; 0: psi alone"
+        "n", "1/s", 0.0, low=0.0, doc="rate at which the compensation takes up what psi leaves of a fault; 0: psi alone"
     )
     q_centres: Array = gain("7", "rad", tuple(_Q_RANGE * c for c in _THIRDS), doc="Table 1, sets NB to PB")
     q_widths: Array = gain("7", "rad", (0.15 * _Q_RANGE,) * 7, above=0.0, doc="their widths")

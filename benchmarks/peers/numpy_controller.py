@@ -61,7 +61,8 @@ class Controller:
         self.applied, qdd_hat = qdd, u + self.ahead
         seen = self.observer.explain(reading, u, qdd_hat, self.transient, self.frozen, self.noisy)
         q = self.observer.q1
-        ahead = self.ahead + self.share * (self.weight * ~self.suspect * seen.e - self.ahead)
+        left = np.where(self.suspect | (np.abs(self.observer.b) >= self.gains.observer.jump), 0.0, self.weight * seen.e)
+        ahead = self.ahead + self.share * (left - self.ahead)
         self.ahead = np.minimum(np.maximum(ahead, -MOST), MOST)
 
         measured = (q - self.q - seen.shift) / dt + 0.5 * dt * qdd_hat

@@ -133,7 +133,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     psi = jnp.where(missing, 0.0, state.psi + own.alpha_i * e)
     predicted = state.qd + dt * state.psi
     measured = (q_hat - state.q1 - shift) / dt + 0.5 * dt * state.psi  # control/surface.py
-    qd = predicted + gains.baseline.speed_weight * (measured - predicted)
+    qd = predicted + gains.control.speed_weight * (measured - predicted)
     unread = jnp.where(missing, state.unread + 1, 0.0)
     rest, lost = arx.init(config, gains, q_hat), unread > PATIENCE / dt
     x_a, x_b = jnp.where(lost[:, None], rest.x_a, x_a), jnp.where(lost[:, None], rest.x_b, x_b)

@@ -80,11 +80,14 @@ def test_its_gradient_is_that_of_differences(rate):
 def test_a_suspect_reading_says_nothing_of_the_torque():
     made = config()
     gains, calm = jaxftc.default_gains(made), sensor_check.nothing_found(jnp.zeros(3))
-    estimate = jaxftc.observer.cascade.Estimate(*[jnp.full(3, 0.01)] * 12)
+    estimate = jaxftc.observer.cascade.Estimate(*[jnp.full(3, 0.01)] * 12)._replace(b=jnp.array([0.0, 0.0, 9e-4]))
     suspect = calm._replace(suspect=jnp.array([0.0, 1.0, 0.0]))
     found = cascade._to_compensate(made, gains, suspect, estimate, stages.of(made))
     weight = np.asarray(adaptation.not_in_psi(made, gains))
     np.testing.assert_allclose(found.left, 0.01 * weight * np.array([1, 0, 1]))
+    faulty = estimate._replace(b=jnp.array([0.0, -0.01, 1.1e-3]))  # rad; the third is just more than a jump
+    found = cascade._to_compensate(made, gains, calm, faulty, stages.of(made))
+    np.testing.assert_allclose(found.left, 0.01 * weight * np.array([1, 0, 0]))
     torque = jaxftc.Config(three_hinges(), engine="chain", input="torque")  # psi holds gravity there
     for part in cascade._to_compensate(torque, jaxftc.default_gains(torque), calm, estimate, stages.of(torque)):
         np.testing.assert_array_equal(part, 0.0)
@@ -179,9 +182,9 @@ def test_the_loop_is_stable_at_every_rate_with_another_inertia(dt):
 
 
 @pytest.mark.parametrize("dt", RATES)
-def test_with_default_gains_the_inertia_may_be_off_by_more_than_a_factor_of_two(dt):
+def test_at_80_per_second_the_inertia_may_be_off_by_more_than_a_factor_of_two(dt):
     made = config(dt)
-    gains = jaxftc.default_gains(made)
+    gains = jaxftc.default_gains(made).replace({"control.rate": 80.0})
     reaching = 1.5 * float(gains.control.alpha_sm2[0] / gains.control.eps[0])
     for inertia in (0.5, 1.0, 2.3):
         for fuzzy in (0.0, 1.0):
@@ -191,7 +194,7 @@ def test_with_default_gains_the_inertia_may_be_off_by_more_than_a_factor_of_two(
 def test_beyond_that_the_bound_keeps_the_loop_from_running_away():
     """An inertia of four times the model's: with psi alone the loop is stable, and with l it shakes within the bound."""
     made = config()
-    gains, ends = jaxftc.default_gains(made), {}
+    gains, ends = jaxftc.default_gains(made).replace({"control.rate": 80.0}), {}
     assert closed_loop(made, gains.replace({"control.rate": 0.0}), 4.0, 1.0, 30.0) < 1
     for most in (compensation.MOST, np.inf):
         tick, size = loop(made, gains, 4.0, 1.0, 30.0, most)

@@ -17,7 +17,7 @@ from tests.arms import three_hinges
 FILE = Path(__file__).with_name("numbers.npz")
 SCHEMES = {
     "afesmc": {},
-    "psi_alone": {},
+    "compensated": {},
     "esmc": {"control": "esmc"},
     "smc": {"control": "smc"},
     "eso": {"observer": "eso"},
@@ -29,7 +29,7 @@ SCHEMES = {
     "momentum": {"scheme": "momentum"},
     "ekf": {"scheme": "ekf"},
 }
-GAINS = {"psi_alone": {"control.rate": 0.0, "control.speed_weight": 0.15}}  # beside the defaults
+GAINS = {"compensated": {"control.rate": 150.0, "control.speed_weight": 0.08}}  # beside the defaults
 EVERY = 7  # th tick of a trace is kept
 
 
