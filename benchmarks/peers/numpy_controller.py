@@ -14,6 +14,7 @@ import numpy as np
 
 from benchmarks.peers.numpy_observer import Observer, Seen
 from jaxftc.config import Config
+from jaxftc.control.compensation import MOST
 from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.fuzzy.rule_table import TABLES
 from jaxftc.gains import Gains
@@ -37,11 +38,13 @@ class Controller:
             raise ValueError(f"the NumPy controller has the default structure only, got {default}")
         n, gains = config.n, jax.tree.map(lambda leaf: np.asarray(leaf, float), gains)
         self.config, self.gains, self.observer = config, gains, Observer(config, gains, q)
+        self.share = -np.expm1(-gains.control.rate * config.dt)  # of what psi leaves, in a tick
+        self.weight = gains.observer.alpha_p * ((1 - gains.arx.xi_a) / config.dt) ** 2
         self.levels = gains.control.outputs[TABLES[config.rules]]
         self.model = copy.deepcopy(config.robot.mj_model)
         self.data, self.mass, self.bias = mujoco.MjData(self.model), np.zeros((n, n)), np.zeros(n)
         zero = np.zeros(n)
-        self.psi, self.q, self.qd, self.qdd, self.z_tau, self.z_q = zero, q, zero, zero, zero, zero
+        self.psi, self.ahead, self.q, self.qd, self.qdd, self.z_tau, self.z_q = zero, zero, q, zero, zero, zero, zero
         self.tau = self._dynamics(q, zero, zero)
         self.verdict = np.zeros(n, int)
         self.tau_on, self.q_on, self.transient, self.frozen, self.noisy, self.suspect = np.zeros((6, n), bool)
@@ -54,9 +57,13 @@ class Controller:
         qdd = self.qdd
         if (tau != self.tau).any():  # the limits cut it
             qdd = qdd + np.linalg.solve(self.mass, tau - self.tau)
-        self.applied, qdd_hat = qdd, qdd + self.psi
-        seen = self.observer.explain(reading, qdd_hat, self.transient, self.frozen, self.noisy)
+        u = qdd + self.psi
+        self.applied, qdd_hat = qdd, u + self.ahead
+        seen = self.observer.explain(reading, u, qdd_hat, self.transient, self.frozen, self.noisy)
         q = self.observer.q1
+        left = np.where(self.suspect | (np.abs(self.observer.b) >= self.gains.observer.jump), 0.0, self.weight * seen.e)
+        ahead = self.ahead + self.share * (left - self.ahead)
+        self.ahead = np.minimum(np.maximum(ahead, -MOST), MOST)
 
         measured = (q - self.q - seen.shift) / dt + 0.5 * dt * qdd_hat
         predicted = self.qd + dt * qdd_hat
@@ -64,7 +71,7 @@ class Controller:
         errord = qd - qd_ref
         s = c.lam * (q - q_ref) + errord  # Eq. (19)
         switching = c.alpha_sm2 * np.maximum(self._gain(q, s), c.floor) * np.tanh(s / c.eps)
-        qdd = qdd_ref - c.lam * errord - c.k_b * s - switching - seen.psi  # Eq. (30)
+        qdd = qdd_ref - c.lam * errord - c.k_b * s - switching - seen.psi - self.ahead  # Eq. (30)
         command = self._dynamics(q, qd, qdd) + coulomb(config, qd_ref)
 
         self.observer.adapt(seen, self.mass @ seen.psi)

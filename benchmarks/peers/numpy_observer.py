@@ -62,10 +62,13 @@ class Observer:
         self.q1, self.q2, self.reading = q, q, q
         self.held = np.zeros(len(q), bool)
 
-    def explain(self, reading: Array, qdd_hat: Array, transient: Array, frozen: Array, noisy: Array) -> Seen:
-        """Innovation and fault estimates; ``qdd_hat`` is the acceleration of the last tick, the flags are doubts."""
+    def explain(self, reading: Array, u: Array, qdd_hat: Array, transient: Array, frozen: Array, noisy: Array) -> Seen:
+        """Innovation and fault estimates; the flags are doubts.
+
+        ``u`` is the input of the model in the last tick, ``qdd_hat`` the acceleration with all that was compensated.
+        """
         g = self.gains
-        self.x_b = _advance(self.banks[1], self.x_b, qdd_hat)
+        self.x_b = _advance(self.banks[1], self.x_b, u)
         y_hat = (self.arx.kappa_a * self.x_a).sum(1) + (self.kappa_b * self.x_b).sum(1) + self.arx.offset
         stuck = frozen & (reading == self.reading)
         absent = ~np.isfinite(reading)

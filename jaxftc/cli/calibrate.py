@@ -63,6 +63,7 @@ class Calibrate(Laws):
 
         from jaxftc import save_gains
         from jaxftc.campaigns.calibrate import by_joint, enough
+        from jaxftc.campaigns.patience import told
         from jaxftc.campaigns.spec import as_record, set_thresholds, variant
         from jaxftc.cli import record
         from jaxftc.schemes.registry import scheme
@@ -80,7 +81,8 @@ class Calibrate(Laws):
         with results.folder(self, "calibrate") as folder:
             with tqdm(desc="healthy runs", unit="run", leave=False) as bar:
                 wanted = {"runs": self.runs, "confidence": self.confidence, "follow": self.follow}
-                found = set_thresholds(job, self.false_alarms, bar.update, **wanted)
+                counts = told(bar.update, lambda text: common.say(self, text), self.scheme, self.runs, follow=self.follow)
+                found = set_thresholds(job, self.false_alarms, counts, **wanted)
             save_gains(folder / "gains.toml", found.gains, job.config)
             result = as_record(found) | by_joint(job.config, found.gains) | {"gains": str(folder / "gains.toml")}
             text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, job.config)})

@@ -184,7 +184,8 @@ class Campaign(Laws):
 
         from jaxftc.campaigns import store
         from jaxftc.campaigns.calibrate import by_joint
-        from jaxftc.campaigns.spec import begin, complete, here, worst
+        from jaxftc.campaigns.patience import told
+        from jaxftc.campaigns.spec import HEALTHY, begin, complete, here, worst
         from jaxftc.campaigns.tasks import spread
         from jaxftc.cli import record
         from jaxftc.evaluation import summary
@@ -195,7 +196,8 @@ class Campaign(Laws):
         if share and not (folder / store.MANIFEST).exists():
             note(f"{name}: calibrating the thresholds for {100 * share:g} % of healthy runs with an alarm")
         with tqdm(desc=f"{name}: thresholds", unit="run", leave=False, disable=None if share else True) as bar:
-            job, manifest = begin(folder, job, request, share, bar.update, follow=self.follow, note=note)
+            counts = told(bar.update, note, name, HEALTHY, follow=self.follow)
+            job, manifest = begin(folder, job, request, share, counts, follow=self.follow, note=note)
         with tqdm(total=self.n, desc=name, unit="scenario", leave=False, smoothing=0.1) as bar:
 
             def done(count: int) -> None:

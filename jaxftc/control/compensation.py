@@ -4,10 +4,13 @@ psi serves the diagnosis too, and is slow so that a healthy arm stays calm. The 
 fault: w e with w = alpha_p (1 - xi)^2 / T^2 (theory.md, "The bandwidth of the compensation"). A low-pass of it, with a rate
 of its own, is compensated beside psi:
 
-    psi_c = psi + l,   l+ = l + (1 - exp(-rate T)) (w e - l).
+    psi_c = psi + l,   l+ = l + (1 - exp(-rate T)) (w e - l),   |l| <= MOST.
 
 The observer does not see l, because the command that holds it is known: its poles stay where they are. At rate 0 psi is
 compensated alone.
+
+A motor that does not do what it is told, such as a stuck one, winds any compensation up: what was commanded meanwhile comes
+all at once when the fault clears. psi is slow to do so. The bound keeps l from it, and from an arm whose inertia is far off.
 """
 
 from __future__ import annotations
@@ -19,9 +22,11 @@ import jax.numpy as jnp
 from jaxftc.compile.box import box
 from jaxftc.config import Config
 from jaxftc.gains import Gains
+from jaxftc.numerics import smooth
 from jaxftc.types import Array
 
 GAINS = ("control.rate",)
+MOST = 10.0  # rad/s^2, as much as the switching term may add by default
 
 
 class State(NamedTuple):
@@ -47,5 +52,5 @@ def init(config: Config, gains: Gains, q: Array) -> State:
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """psi_c [n, ...] rad/s^2 of this tick; stable at any rate and sample time."""
     share = -jnp.expm1(-gains.control.rate * config.dt)
-    ahead = state.ahead + share * (inputs.left - state.ahead)
+    ahead = smooth.saturate(state.ahead + share * (inputs.left - state.ahead), MOST)
     return State(ahead), inputs.psi + ahead

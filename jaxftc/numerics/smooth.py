@@ -21,6 +21,6 @@ def magnitude_root(x: Array) -> Array:
     return jnp.where(nonzero, jnp.sqrt(jnp.abs(jnp.where(nonzero, x, 1.0))), 0.0)
 
 
-def saturate(x: Array, limit: Array) -> Array:
+def saturate(x: Array, limit: Array | float) -> Array:
     """Clip x to [-limit, limit]; gradient 1 inside, 0 outside."""
     return jnp.clip(x, -limit, limit)

@@ -9,7 +9,7 @@ import pytest
 import jaxftc
 from jaxftc import logs
 from jaxftc.campaigns import calibrate as module
-from jaxftc.campaigns import run
+from jaxftc.campaigns import patience, run
 from jaxftc.campaigns.calibrate import (
     LEAST_Q,
     Peaks,
@@ -115,6 +115,20 @@ def test_it_goes_on_until_the_thresholds_stay(small, scenarios, monkeypatch):
     assert (
         dataclasses.asdict(once.gains.diagnosis).keys() == dataclasses.asdict(jaxftc.default_gains(small).diagnosis).keys()
     )
+
+
+@pytest.mark.parametrize(("each", "lines"), [(1.0, 0), (15.0, 1)])  # s a piece, and lines that are said
+def test_who_waits_long_is_told_once(each, lines, monkeypatch):
+    """Compiling, before the first piece, does not count: 4 pieces of 256 runs, of 8192 / 2 in a round."""
+    clock = iter(600.0 + each * np.arange(5))
+    monkeypatch.setattr(patience.time, "perf_counter", lambda: next(clock))
+    counted, said = [], []
+    done = patience.told(counted.append, said.append, "ekf", 8192)
+    for _ in range(5):
+        done(256)
+    assert counted == [256] * 5 and len(said) == lines
+    if said:
+        assert said == ["ekf: 4,096 healthy runs take 4.0 min; the thresholds take 3 to 9 times as many"]
 
 
 # On recorded logs; thresholds from them are in test_diagnoser.py.

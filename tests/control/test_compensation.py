@@ -41,6 +41,7 @@ def compensated(gains, psi, left):
 
 def test_it_is_psi_and_a_low_pass_of_what_is_left():
     gains, (psi, left) = jaxftc.default_gains(config()).replace({"control.rate": np.array([20.0, 150.0, 1e6])}), signals()
+    left = np.clip(left, -compensation.MOST, compensation.MOST)
     ahead, want = np.zeros(3), []
     for one, rest in zip(psi, left, strict=True):
         ahead = np.exp(-np.array([0.02, 0.15, 1e3])) * ahead + (1 - np.exp(-np.array([0.02, 0.15, 1e3]))) * rest
@@ -48,6 +49,15 @@ def test_it_is_psi_and_a_low_pass_of_what_is_left():
     found = compensated(gains, psi, left)
     np.testing.assert_allclose(found, want, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(found[:, 2], (psi + left)[:, 2], rtol=1e-12)  # at once
+
+
+def test_what_is_left_is_compensated_up_to_a_bound():
+    """Whatever winds it up, it is back as soon as the cause has gone."""
+    gains, left = jaxftc.default_gains(config()).replace({"control.rate": 150.0}), np.repeat([[1e4, -1e4, 2.0]], 60, 0)
+    left[40:] = 0.0
+    found = compensated(gains, 0 * left, left)
+    np.testing.assert_allclose(found[39], [compensation.MOST, -compensation.MOST, 2.0], rtol=0.01)
+    np.testing.assert_allclose(found[-1], np.exp(-0.15 * 20) * found[39], rtol=1e-6)
 
 
 def test_at_rate_0_it_is_psi_to_the_last_bit():
@@ -70,11 +80,14 @@ def test_its_gradient_is_that_of_differences(rate):
 def test_a_suspect_reading_says_nothing_of_the_torque():
     made = config()
     gains, calm = jaxftc.default_gains(made), sensor_check.nothing_found(jnp.zeros(3))
-    estimate = jaxftc.observer.cascade.Estimate(*[jnp.full(3, 0.01)] * 12)
+    estimate = jaxftc.observer.cascade.Estimate(*[jnp.full(3, 0.01)] * 12)._replace(b=jnp.array([0.0, 0.0, 9e-4]))
     suspect = calm._replace(suspect=jnp.array([0.0, 1.0, 0.0]))
     found = cascade._to_compensate(made, gains, suspect, estimate, stages.of(made))
     weight = np.asarray(adaptation.not_in_psi(made, gains))
     np.testing.assert_allclose(found.left, 0.01 * weight * np.array([1, 0, 1]))
+    faulty = estimate._replace(b=jnp.array([0.0, -0.01, 1.1e-3]))  # rad; the third is just more than a jump
+    found = cascade._to_compensate(made, gains, calm, faulty, stages.of(made))
+    np.testing.assert_allclose(found.left, 0.01 * weight * np.array([1, 0, 0]))
     torque = jaxftc.Config(three_hinges(), engine="chain", input="torque")  # psi holds gravity there
     for part in cascade._to_compensate(torque, jaxftc.default_gains(torque), calm, estimate, stages.of(torque)):
         np.testing.assert_array_equal(part, 0.0)
@@ -113,10 +126,10 @@ def test_the_rate_raises_the_bandwidth_and_leaves_the_diagnosis_alone(linear):
     np.testing.assert_allclose(frequency_response(whole, gains, np.array([0.01])).compensated, 1.0, atol=0.01)
 
 
-def closed_loop(made, gains, inertia, fuzzy, reaching):
-    """Largest modulus of a pole of joint 1 under ESMC in its boundary layer; the arm's inertia is off by a factor.
+def loop(made, gains, inertia, fuzzy, reaching, most=np.inf):
+    """One tick of joint 1 under ESMC in its boundary layer, and the size of its state; the arm's inertia is off by a factor.
 
-    One tick as a linear map: an acceleration v is commanded, v / inertia is made. ``reaching`` 1/s is alpha / eps.
+    An acceleration v is commanded, v / inertia is made. ``reaching`` 1/s is alpha / eps. Linear where l is not bounded.
     """
     dt, own, control = made.dt, gains.observer, gains.control
     one = lambda x: float(np.asarray(x).reshape(made.n, -1)[0, 0])  # noqa: E731
@@ -132,7 +145,7 @@ def closed_loop(made, gains, inertia, fuzzy, reaching):
         x_b = b @ x_b + b_b * (v + psi)
         y_hat = kappa_a @ x_a + kappa_b @ x_b
         e, psi = q - y_hat, psi_i + fuzzy * psi_f
-        ahead = ahead + share * (weight * e - ahead)
+        ahead = np.clip(ahead + share * (weight * e - ahead), -most, most)
         predicted = speed + dt * acceleration
         measured = (q - before) / dt + 0.5 * dt * acceleration
         speed = predicted + one(control.speed_weight) * (measured - predicted)
@@ -144,9 +157,14 @@ def closed_loop(made, gains, inertia, fuzzy, reaching):
         turned = qd + dt * v / inertia
         return np.concatenate([[q + dt * turned, turned, psi_i, psi_f, ahead, speed, q, v, psi], x_a, x_b])
 
-    size = 9 + made.order_a + made.order_b
+    return tick, 9 + made.order_a + made.order_b
+
+
+def closed_loop(made, gains, inertia, fuzzy, reaching):
+    """Largest modulus of a pole of that loop."""
+    tick, size = loop(made, gains, inertia, fuzzy, reaching)
     matrix = np.stack([tick(row) for row in np.eye(size)], axis=1)
-    if rate == 0:  # l stays 0 then: no pole
+    if float(gains.control.rate[0]) == 0:  # l stays 0 then: no pole
         matrix = np.delete(np.delete(matrix, 4, 0), 4, 1)
     return np.abs(np.linalg.eigvals(matrix)).max()
 
@@ -161,6 +179,33 @@ def test_the_loop_is_stable_at_every_rate_with_another_inertia(dt):
             for fuzzy in (0.0, 1.0):
                 reaching = 1.5 * float(gains.control.alpha_sm2[0] / gains.control.eps[0])
                 assert closed_loop(made, tried, inertia, fuzzy, reaching) < 1, (rate, inertia, fuzzy)
+
+
+@pytest.mark.parametrize("dt", RATES)
+def test_at_80_per_second_the_inertia_may_be_off_by_more_than_a_factor_of_two(dt):
+    made = config(dt)
+    gains = jaxftc.default_gains(made).replace({"control.rate": 80.0})
+    reaching = 1.5 * float(gains.control.alpha_sm2[0] / gains.control.eps[0])
+    for inertia in (0.5, 1.0, 2.3):
+        for fuzzy in (0.0, 1.0):
+            assert closed_loop(made, gains, inertia, fuzzy, reaching) < 1, (inertia, fuzzy)
+
+
+def test_beyond_that_the_bound_keeps_the_loop_from_running_away():
+    """An inertia of four times the model's: with psi alone the loop is stable, and with l it shakes within the bound."""
+    made = config()
+    gains, ends = jaxftc.default_gains(made).replace({"control.rate": 80.0}), {}
+    assert closed_loop(made, gains.replace({"control.rate": 0.0}), 4.0, 1.0, 30.0) < 1
+    for most in (compensation.MOST, np.inf):
+        tick, size = loop(made, gains, 4.0, 1.0, 30.0, most)
+        state, errors = np.zeros(size), []
+        state[0] = 0.01
+        for _ in range(3000):
+            state = tick(state)
+            errors.append(abs(state[0]))
+        ends[most] = max(errors[-500:])
+    assert ends[compensation.MOST] < np.deg2rad(1)
+    assert ends[np.inf] > np.deg2rad(100)
 
 
 def test_compensation_moves_no_pole_of_an_arm_that_is_as_modelled():
