@@ -1,7 +1,7 @@
 """The weights of the learned decision (``diagnosis/learned_decision.py``): gains of a block of their own.
 
-They are there where ``config.decision`` is ``learned``. A gains file may hold its own; one that does not gets those that come
-with the library, ``decision.toml``, which ``python -m tuning.decision`` makes.
+They are there where ``config.decision`` is ``learned``. A gains file may hold its own. One that does not gets those that
+come with the library, ``decision.toml``, which ``python -m tuning.decision`` makes.
 """
 
 from __future__ import annotations
