@@ -34,6 +34,7 @@ from jaxftc.evaluation import online
 from jaxftc.evaluation.metrics import SETTLE
 from jaxftc.gains import align
 from jaxftc.io.files import write_text
+from jaxftc.scenarios.distributions import Uniform
 from jaxftc.scenarios.preset import Preset, Shares
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.sample import draw_all
@@ -42,7 +43,8 @@ from jaxftc.simulation import closed_loop, noise
 from jaxftc.types import Array
 from tuning.random_arms import random_arm
 
-ARMS = 16  # in training; every third of them learned while it runs
+ARMS = 12  # in training; every fourth of them learned while it runs
+UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
 RUNS = {"standard": 512, "hard": 768, "doubles": 512, "uncommon": 256, "mixed": 512}  # of each arm
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
 FALSE_ALARMS = 0.01
@@ -50,6 +52,7 @@ WIDTH = 256  # runs side by side
 MOMENTS = 6  # of a run, beside the two at which a verdict is scored
 LATEST = 0.45  # s after the alarm
 STEPS, BATCH, RATE, DECAY = 20_000, 2048, 3e-3, 1e-4
+DOUBT = np.log(0.65 / 0.35)  # log odds: a bit that is held to be set with 35 to 65 % is unsure
 MARGIN = 0.1  # of the range of what was shown, by which a moment may lie outside of it
 
 
@@ -80,11 +83,25 @@ def mixed() -> Preset:
     )
 
 
+def differing(preset: Preset, factor: float) -> Preset:
+    """The preset with arms that differ so many times as much from their model."""
+    plant, wider = preset.plant, {}
+    for field in dataclasses.fields(plant):
+        law = getattr(plant, field.name)
+        if isinstance(law, Uniform):
+            usual = 0.0 if field.name == "payload_kg" else 1.0
+            wider[field.name] = Uniform(
+                (usual + factor * (law.uniform[0] - usual), usual + factor * (law.uniform[1] - usual))
+            )
+    return dataclasses.replace(preset, plant=dataclasses.replace(plant, **wider))
+
+
 def moments(config: jaxftc.Config, seed: int, runs: dict[str, int]) -> list[Moments]:
     """Moments of one arm, of each preset."""
     found, program, set_for = [], _program(config), {}
+    unknown = float(np.exp(np.random.default_rng([seed, 1]).uniform(*np.log(UNKNOWN))))
     for k, (name, count) in enumerate(runs.items()):
-        preset = mixed() if name == "mixed" else load_preset(name)
+        preset = differing(mixed() if name == "mixed" else load_preset(name), unknown)
         keys = jax.random.split(jax.random.fold_in(jax.random.key(seed), k), 4)
         laws = preset.motion, preset.plant, preset.encoder  # of healthy runs: presets that share them share thresholds
         if laws not in set_for:
@@ -164,7 +181,7 @@ def train(parts: Sequence[Moments], seed: int = 0, steps: int = STEPS) -> tuple[
     """Weights, and the mean loss of the last tenth of the steps."""
     data = Moments(*(np.concatenate(leaves) for leaves in zip(*parts, strict=True)))
     weights = _start(data, seed)
-    fixed = {name: getattr(weights, name) for name in ("centre", "width", "low", "high")}
+    fixed = {name: getattr(weights, name) for name in ("centre", "width", "low", "high", "doubt")}
     layers = {f.name: getattr(weights, f.name) for f in dataclasses.fields(weights) if f.name not in fixed}
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, steps), weight_decay=DECAY)
 
@@ -193,6 +210,7 @@ def _start(data: Moments, seed: int) -> DecisionGains:
     low, high = seen.min(0), seen.max(0)
     room = MARGIN * (high - low) + 1e-3
     found: dict[str, Any] = {"centre": seen.mean(0), "width": seen.std(0) + 0.05, "low": low - room, "high": high + room}
+    found["doubt"] = np.array([DOUBT])
     keys = jax.random.split(jax.random.key(seed), len(dataclasses.fields(DecisionGains)))
     for key, field in zip(keys, dataclasses.fields(DecisionGains), strict=True):
         size = tuple(int(axis) for axis in field.metadata["spec"].axes)
@@ -216,7 +234,7 @@ def collect(arms: Sequence[int], seed: int, runs: dict[str, int]) -> list[Moment
     began = time.perf_counter()
 
     def one(k: int) -> list[Moments]:
-        config = jaxftc.Config(random_arm(arms[k]), engine="chain", adaptive=k % 3 == 2)
+        config = jaxftc.Config(random_arm(arms[k]), engine="chain", adaptive=k % 4 == 3)
         found = moments(config, seed * 1000 + arms[k], runs)
         said = f"arm {arms[k]}, {config.n} joints: {sum(len(part.seen) for part in found) // config.n} moments"
         print(f"{said}, {time.perf_counter() - began:.0f} s", flush=True)

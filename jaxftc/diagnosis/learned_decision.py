@@ -7,8 +7,8 @@ unit: statistics and residuals over their thresholds, the innovation over a jump
 remembers by leaky means and decaying peaks, whose times are in seconds.
 
 * It names, and never decides whether there is an alarm: without one of the rule nothing is said, with one something is.
-* The rule's verdict stays where the network names nothing, where something it looks at lies outside of what it was trained
-  on, while a reading is absent, and until it has been asked since the alarm rose.
+* The rule's verdict stays where the network names nothing or is unsure of a joint, where something that it looks at lies
+  outside of what it was trained on, while a reading is absent, and until it has been asked since the alarm rose.
 * It is asked every ``PERIOD``; in between its last answer stands.
 
 ``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
@@ -35,10 +35,11 @@ from jaxftc.types import Array
 PERIOD = 0.004  # s between two questions, at least a tick
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
 SOON = 0.06  # s, at which a time counts half
+MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
 
 
 class Signals(NamedTuple):
-    """What is remembered of a joint; all [n, ...], 1. Sizes are log(1 + x)."""
+    """What is remembered of a joint; all [n, ...], 1. Sizes are log(1 + x), x at most MOST."""
 
     torque: Array  # statistic of the torque channel over its threshold
     innovation: Array  # innovation over observer.jump
@@ -109,9 +110,10 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
 
 def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> State:
     state, seen = look(config, gains, state, inputs)
-    tau, q = logits(gains.decision, seen)
-    named = jnp.stack([tau > 0, q > 0]).astype(state.tau.dtype)
-    speaks = familiar(gains.decision, seen) & (named > 0).any((0, 1))
+    odds = logits(gains.decision, seen)
+    named = (odds > 0).astype(state.tau.dtype)
+    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1))
+    speaks = sure & familiar(gains.decision, seen) & (named > 0).any((0, 1))
     return state._replace(
         wait=jnp.full_like(state.wait, period(config)),
         tau=named[0],
@@ -166,7 +168,7 @@ def _shown(config: Config, state: State, now: Signals, inputs: Inputs, jump: Arr
         jnp.minimum(check.jumps.total / sensor_check.MANY_JUMPS, 4.0),
         jnp.minimum(jnp.abs(check.jumps.signed) / sensor_check.MANY_JUMPS, 4.0),
         check.freeze.equal / (check.freeze.equal + sensor_check.FROZEN_READINGS),
-        jnp.minimum(_size(check.freeze.travel / jump), 4.0),
+        _size(check.freeze.travel / jump),
         jnp.minimum(check.counts.turns / sensor_check.SHARP_TURNS, 2.0),
         _size(check.transient.peak / inputs.threshold_tau),
         age / (age + SOON),
@@ -175,8 +177,7 @@ def _shown(config: Config, state: State, now: Signals, inputs: Inputs, jump: Arr
         state.own / (state.own + SOON),
     ]
     others = (now.torque, residual, peaks.torque, peaks.angle, slow.suspect, slow.jumped, fast.innovation)
-    mean = jnp.broadcast_to(peaks.torque.mean(0), residual.shape)
-    return jnp.stack(store([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others), mean]))
+    return jnp.stack(store([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others)]))
 
 
 NAMES = (  # of what the network is shown
@@ -185,7 +186,6 @@ NAMES = (  # of what the network is shown
     *("residual", "jumps", "jumps one way", "equal readings", "travel", "turns", "alarm's peak", "alarm's age", "side"),
     *("since any alarm", "since own alarm"),
     *(f"others' {name}" for name in ("torque", "residual", "peak torque", "peak angle", "suspect", "jumped", "innovation")),
-    "mean peak torque",
 )
 
 
@@ -204,7 +204,7 @@ def familiar(weights: DecisionGains, seen: Array) -> Array:
 
 
 def _size(x: Array) -> Array:
-    return jnp.log1p(jnp.abs(x))
+    return jnp.log1p(jnp.minimum(jnp.abs(x), MOST))
 
 
 def _leaky(old: Array, x: Array, ticks: float) -> Array:

@@ -8,6 +8,10 @@ FAST, MEDIUM, SLOW, PEAK, SOON = 0.03, 0.1, 0.3, 0.4, 0.06  # s
 REMEMBERED = 7
 
 
+def size(x: float) -> float:
+    return math.log1p(min(abs(x), 30))
+
+
 class Twin:
     """Memory of n joints that are looked at every dt s."""
 
@@ -25,25 +29,24 @@ class Twin:
         up = now[:, 3:6].sum(1) > 0
         self.own = np.where(up, self.own + self.dt, 0)
         self.since = self.since + self.dt if up.any() else 0.0
-        shown = []
+        shown, residual = [], np.array([size(r) for r in x["residual"] / x["threshold"]])
         for j in range(self.n):
             ratio = x["tau"][j] / x["threshold"][j]
             self.side[j] += (1 - math.exp(-self.dt / MEDIUM)) * (math.copysign(now[j, 0], ratio) - self.side[j])
             alone = [
-                math.log1p(abs(x["residual"][j] / x["threshold"][j])),
+                residual[j],
                 min(x["jumps"][j] / 8, 4),
                 min(abs(x["one_way"][j]) / 8, 4),
                 x["equal"][j] / (x["equal"][j] + 5),
-                min(math.log1p(abs(x["travel"][j] / self.jump[j])), 4),
+                size(x["travel"][j] / self.jump[j]),
                 min(x["turns"][j] / 6, 2),
-                math.log1p(x["peak"][j] / x["threshold"][j]),
+                size(x["peak"][j] / x["threshold"][j]),
                 x["age"][j] / (x["age"][j] + SOON),
                 abs(self.side[j]),
                 self.since / (self.since + SOON),
                 self.own[j] / (self.own[j] + SOON),
             ]
             rest = [k for k in range(self.n) if k != j]
-            residual = np.log1p(np.abs(x["residual"] / x["threshold"]))
             compared = [
                 now[:, 0],
                 residual,
@@ -54,14 +57,14 @@ class Twin:
                 self.fast[:, 1],
             ]
             others = [max(float(signal[k]) for k in rest) for signal in compared]
-            shown.append([*now[j], *self.fast[j], *self.slow[j], *self.peak[j], *alone, *others, self.peak[:, 0].mean()])
+            shown.append([*now[j], *self.fast[j], *self.slow[j], *self.peak[j], *alone, *others])
         return np.array(shown).T
 
     def _now(self, x: dict[str, np.ndarray], j: int) -> list[float]:
         return [
-            math.log1p(abs(x["tau"][j] / x["threshold"][j])),
-            math.log1p(abs(x["e"][j] / self.jump[j])),
-            math.log1p(abs(x["q"][j] / self.alpha_q[j])),
+            size(x["tau"][j] / x["threshold"][j]),
+            size(x["e"][j] / self.jump[j]),
+            size(x["q"][j] / self.alpha_q[j]),
             x["up_q"][j],
             x["suspect"][j],
             x["up_tau"][j],
