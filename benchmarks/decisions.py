@@ -1,8 +1,8 @@
 """The learned decision against the rule, on the same runs: ``python -m benchmarks.decisions puma560 --seeds 91 301``.
 
-An arm is ``puma560``, a robot file, or ``random:K``, an arm of ``tuning/random_arms.py``; training has those from 0 on. Gains
-are the defaults, thresholds those for 1 % of healthy runs with an alarm. Alarms, motion and false alarms of the two are the
-same, so only what was said of the faults that were detected is compared.
+An arm is ``puma560``, a robot file, or ``random:K`` of ``tuning/random_arms.py``, of which training has those from 0 on.
+Gains are the defaults, thresholds those for 1 % of healthy runs with an alarm. Alarms, motion and false alarms of the two
+are the same, so only what was said of the faults that were detected is compared.
 """
 
 from __future__ import annotations

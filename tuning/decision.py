@@ -45,7 +45,7 @@ from tuning.random_arms import random_arm
 
 ARMS = 12  # in training; every fourth of them learned while it runs
 UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
-RUNS = {"standard": 512, "hard": 768, "doubles": 512, "uncommon": 256, "mixed": 512}  # of each arm
+RUNS = {"standard": 768, "hard": 768, "doubles": 256, "uncommon": 512, "mixed": 512}  # of each arm; mostly single faults
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
 FALSE_ALARMS = 0.01
 WIDTH = 256  # runs side by side
@@ -75,7 +75,7 @@ def mixed() -> Preset:
     sensor = both(hard.sensor, rare.sensor)
     return dataclasses.replace(
         hard,
-        shares=Shares(healthy=0.15, actuator=0.3, sensor=0.25, both=0.3),
+        shares=Shares(healthy=0.0, actuator=0.4, sensor=0.4, both=0.2),
         actuator=both(hard.actuator, rare.actuator),
         sensor=sensor,
         sensor_in_both=sensor,

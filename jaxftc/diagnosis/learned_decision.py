@@ -118,7 +118,7 @@ def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> State:
         wait=jnp.full_like(state.wait, period(config)),
         tau=named[0],
         q=named[1],
-        speaks=jnp.where(speaks, 1.0, jnp.zeros_like(tau)),
+        speaks=jnp.where(speaks, 1.0, jnp.zeros_like(state.tau)),
     )
 
 
