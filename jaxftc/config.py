@@ -47,6 +47,8 @@ class Config:
         contact: How many motors may fail at once. Torque alarms of more joints that a force on a
             link explains are a contact; with 0 contacts are not judged, with 1 two faults at once may
             be called one. The cascade's and the Diagnoser's.
+        decision: What names joints and channels once there is an alarm: the rule, Eqs. (17), (18), or a
+            small network with memory, whose weights are gains; the complete cascade's only.
         order_a: Laguerre functions on the output.
         order_b: Laguerre functions on the input.
         input: What drives the ARX model: an acceleration from the rigid-body model, or the torques
@@ -73,6 +75,7 @@ class Config:
     control: Control = "afesmc"
     adaptive: bool = False
     contact: int = 0
+    decision: Literal["rule", "learned"] = "rule"
     order_a: int = 3
     order_b: int = 2
     input: Literal["rigid_body", "torque"] = "rigid_body"
@@ -105,6 +108,8 @@ class Config:
         checks.one_of("sign", self.sign, ("smooth", "hard"))
         self._check_adaptive()
         checks.integer("contact", self.contact, 0, "it is how many motors may fail at once; 0 judges no contacts", 2)
+        checks.one_of("decision", self.decision, ("rule", "learned"))
+        self._check_decision()
         checks.integer("order_a", self.order_a, 2, "a joint is a double integrator; 3 suits it at 1 kHz")
         checks.integer("order_b", self.order_b, 2, "a joint is a double integrator; 2 suits it at 1 kHz")
         checks.integer("alarm_ticks", self.alarm_ticks, 1, "1 alarms at once")
@@ -119,6 +124,16 @@ class Config:
             raise ValueError(
                 "adaptive needs a scheme that learns, the cascade, and input='rigid_body', which measure the torque that "
                 f"the model lacks; got scheme={self.scheme!r}, input={self.input!r}"
+            )
+
+    def _check_decision(self) -> None:
+        if self.decision == "rule":
+            return
+        if self.scheme != "cascade" or self.observer != "ts" or self.input != "rigid_body" or self.contact:
+            raise ValueError(
+                "decision='learned' was trained on the complete cascade: it needs scheme='cascade', observer='ts', "
+                "input='rigid_body' and contact=0, as contacts are judged from the rule's verdicts; "
+                f"got {self.scheme!r}, {self.observer!r}, {self.input!r}, {self.contact}"
             )
 
     @property

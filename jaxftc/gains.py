@@ -19,6 +19,7 @@ from jax.typing import ArrayLike
 
 from jaxftc import checks, variants
 from jaxftc.config import Config
+from jaxftc.decision_gains import DecisionGains
 from jaxftc.gain_spec import Spec as Spec
 from jaxftc.gain_spec import block as block
 from jaxftc.gain_spec import check_values
@@ -152,6 +153,7 @@ class Gains:
         adaptation: The arm that is learned while it runs.
         baseline: The other schemes of the package, which one gains file serves.
         own: Those of a scheme of the user's, if it has any.
+        decision: Weights of the learned decision, where that is used.
     """
 
     arx: ArxGains
@@ -161,6 +163,7 @@ class Gains:
     adaptation: AdaptationGains
     baseline: BaselineGains
     own: Any = None
+    decision: DecisionGains | None = None
 
     def replace(self, changes: Mapping[str, ArrayLike]) -> Gains:
         """Gains with some of them changed: ``gains.replace({"control.lam": 30.0})``.
@@ -201,12 +204,12 @@ NAMES = tuple(f"{block}.{field.name}" for block, cls in BLOCKS.items() for field
 
 def blocks(of: Config | Gains | None = None) -> dict[str, type]:
     """Classes of the blocks, in order: with those of a config's scheme, or of gains, beside those that all have."""
-    own = None
+    own, learned = None, False
     if isinstance(of, Config):
-        own = variants.own_gains(of.scheme)
-    elif of is not None and of.own is not None:
-        own = type(of.own)
-    return BLOCKS if own is None else BLOCKS | {"own": own}
+        own, learned = variants.own_gains(of.scheme), of.decision == "learned"
+    elif of is not None:
+        own, learned = None if of.own is None else type(of.own), of.decision is not None
+    return BLOCKS | ({} if own is None else {"own": own}) | ({"decision": DecisionGains} if learned else {})
 
 
 def specs(of: Config | Gains | None = None) -> Iterator[tuple[str, str, Spec]]:
@@ -278,6 +281,8 @@ def check(config: Config, gains: Gains) -> None:
             f"gains.own must be those of scheme {config.scheme!r}, got {type(gains.own).__name__}; default_gains(config) "
             "has them"
         )
+    if config.decision == "learned" and gains.decision is None:
+        raise ValueError("gains.decision lacks the weights of decision='learned'; default_gains(config) has them")
     for part, name, spec in specs(config):
         leaf, path = getattr(getattr(gains, part), name), f"{part}.{name}"
         shape = shape_of(config, spec)

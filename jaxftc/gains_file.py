@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from jaxftc.config import Config
+from jaxftc.decision_gains import shipped
 from jaxftc.gains import Gains, Spec, blocks, build, specs
 from jaxftc.io.files import write_text
 from jaxftc.io.toml import read_toml
@@ -56,6 +57,7 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     made_with = table.pop("made_with", {})
     if made_with.get("scheme", config.scheme) != config.scheme:
         table.pop("own", None)  # another scheme's; all else in the file serves every scheme
+    weights = table.pop("decision", None)  # a file without them is for any decision
     ours = header(config)
     other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
     if other:
@@ -71,6 +73,8 @@ def load_gains(path: str | Path, config: Config) -> Gains:
         for name, entry in entries.items():
             value = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
             values[block][name] = value
+    if config.decision == "learned":
+        values["decision"] = _weights(path, weights, known)
     missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
     if missing:
         raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
@@ -101,6 +105,13 @@ def header(config: Config) -> dict[str, Any]:
         "order_b": config.order_b,
         "input": config.input,
     }
+
+
+def _weights(path: str | Path, entries: dict[str, Any] | None, known: dict[tuple[str, str], Spec]) -> dict[str, np.ndarray]:
+    """Those of the file, or those that come with the library."""
+    if entries is None:
+        return dict(shipped())
+    return {n: _read_entry(path, f"decision.{n}", entry, known.get(("decision", n)), known) for n, entry in entries.items()}
 
 
 def _read_entry(

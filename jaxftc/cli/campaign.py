@@ -79,6 +79,8 @@ class Campaign(Laws):
     """Torque thresholds that follow the motion, as in jaxftc calibrate; needs --false-alarms or --compare."""
     contact: int = 0
     """Judge contacts, where at most so many motors fail at once (1 or 2); 0 judges none. The cascade only."""
+    decision: Literal["rule", "learned"] = "rule"
+    """What names joints and channels after an alarm: the paper's rule, or a network with memory. The cascade only."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
     cluster: Annotated[str | None, common.left_out("local|HOST:PORT")] = None
@@ -106,7 +108,7 @@ class Campaign(Laws):
         from jaxftc.evaluation import comparison
         from jaxftc.report import campaign
 
-        base = dataclasses.replace(self.base(), contact=self.contact)
+        base = dataclasses.replace(self.base(), contact=self.contact, decision=self.decision)
         jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
         if self.follow and share is None:
@@ -242,6 +244,7 @@ class Campaign(Laws):
         request |= {} if share is None else {"false_alarms": share}
         request |= {"follow": True} if self.follow else {}
         request |= {"contact": self.contact} if self.contact else {}
+        request |= {} if self.decision == "rule" else {"decision": self.decision}
         if self.gains is not None:
             request["gains"] = [str(self.gains), fingerprint(self.gains.read_text(encoding="utf-8"))]
         return request

@@ -24,6 +24,8 @@ class Export(common.Options):
     """
 
     scheme: common.Scheme = "cascade"
+    decision: Literal["rule", "learned"] = "rule"
+    """What names joints and channels after an alarm: the paper's rule, or a network with memory."""
     real: Literal["double", "float"] = "double"
     """Precision of the code."""
     gains_at_run_time: bool = False
@@ -53,7 +55,8 @@ class Export(common.Options):
         common.key(self)  # the seed's range
         common.look_here_for(self.scheme)
         dt = self.dt or 1e-3
-        config = variant(Config(common.load_arm(self), dt=dt, t_final=1000 * dt, engine="chain"), self.scheme)
+        base = Config(common.load_arm(self), dt=dt, t_final=1000 * dt, engine="chain", decision=self.decision)
+        config = variant(base, self.scheme)
         with precision("double"):
             gains = common.load_or_default(self, config)
         with results.folder(self, "export") as folder:

@@ -51,6 +51,8 @@ class Simulate(common.Options):
     """Sliding mode, with fault estimates, or with these and the fuzzy gain."""
     adaptive: bool = False
     """Learn payload and friction while the arm runs."""
+    decision: Literal["rule", "learned"] = "rule"
+    """What names joints and channels after an alarm: the paper's rule, or a network with memory."""
     sign: Literal["smooth", "hard"] = "smooth"
     """Sign function: tanh(x / eps), or the printed sgn."""
     torque: float = 5.0
@@ -120,6 +122,7 @@ class Simulate(common.Options):
             observer=self.observer,
             control=self.control,
             adaptive=self.adaptive,
+            decision=self.decision,
             sign=self.sign,
             t_final=self.t_final,
             duration=self.duration,
@@ -151,7 +154,12 @@ class Simulate(common.Options):
         options = dataclasses.replace(self, **arm, coulomb=asked["coulomb"] and asked["robot"] == "puma560")
         common.look_here_for(name)
         base = Config(
-            common.load_arm(options), dt=asked.get("dt", 1e-3), engine=asked["engine"], duration=asked.get("duration")
+            common.load_arm(options),
+            dt=asked.get("dt", 1e-3),
+            engine=asked["engine"],
+            duration=asked.get("duration"),
+            contact=asked.get("contact", 0),
+            decision=asked.get("decision", "rule"),
         )
         job = load(self.campaign, base)
         stored = store.read_rows(self.campaign, self.id + 1, first=self.id)

@@ -102,6 +102,8 @@ class _Unrolled:
             line = np.arange(params["shape"][params["dimension"]], dtype=dtype)
             at = [-1 if axis == params["dimension"] else 1 for axis in range(len(params["shape"]))]
             return [self.constants(np.broadcast_to(line.reshape(at), params["shape"]))]
+        if name == "dot_general":
+            return [self._products(params["dimension_numbers"], *args)]
         if name in REDUCTIONS:
             return [self._reduce(REDUCTIONS[name], sorted(params["axes"], reverse=True), args[0])]
         plain = PLAIN.get(name, name)
@@ -148,6 +150,20 @@ class _Unrolled:
                 first = np.array(pairs, int).reshape(np.shape(other))
             array = np.asarray(first)
         return array
+
+    def _products(self, axes: Any, one: Places, other: Places) -> Places:
+        """Sums of products over the axes that are contracted, in their order; axes that both keep come first."""
+        (sums, other_sums), (both, other_both) = axes
+        own, others = ([k for k in range(x.ndim) if k not in (*s, *b)] for x, s, b in (
+            (one, sums, both), (other, other_sums, other_both)))  # fmt: skip
+        a, b = one.transpose(*both, *own, *sums), other.transpose(*other_both, *others, *other_sums)
+        a = a.reshape(*a.shape[: len(both) + len(own)], -1)
+        b = b.reshape(*b.shape[: len(other_both) + len(others)], -1)
+        a = np.expand_dims(a, [len(both) + len(own) + k for k in range(len(others))])
+        b = np.expand_dims(b, [len(both) + k for k in range(len(own))])
+        pairs = np.broadcast_arrays(a, b)
+        made = np.vectorize(lambda x, y: self.make("mul", int(x), int(y)), otypes=[int])(*pairs)
+        return self._reduce("add", [made.ndim - 1], made)
 
     def _power(self, x: int, exponent: int) -> int:
         if exponent < 0:

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxftc.compile.box import box
 from jaxftc.config import Config
-from jaxftc.diagnosis import alarm, sensor_check
+from jaxftc.diagnosis import alarm, learned_decision, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
 from jaxftc.observer.cascade import Estimate
@@ -24,6 +24,7 @@ class State(NamedTuple):
 
     alarm: alarm.State
     check: sensor_check.State
+    learned: learned_decision.State | None = None
 
 
 class Inputs(NamedTuple):
@@ -35,6 +36,7 @@ class Inputs(NamedTuple):
     estimate: Estimate
     qd_hat: Array  # [n, ...] rad/s
     qdd: Array  # [n, ...] rad/s^2, acceleration that the command of the last tick stands for, without faults
+    residual_of_all: Array | None = None  # [n, ...] N m, torque residual whatever the reading; for the learned decision
 
 
 class Decision(NamedTuple):
@@ -46,7 +48,8 @@ class Decision(NamedTuple):
 
 def init(config: Config, gains: Gains, q: Array) -> State:
     """No alarm."""
-    return State(alarm.init(config, gains, q), sensor_check.init(config, gains, q))
+    learned = learned_decision.init(config, gains, q) if config.decision == "learned" else None
+    return State(alarm.init(config, gains, q), sensor_check.init(config, gains, q), learned)
 
 
 @box("Block 7: decision, Eqs. (17), (18)")
@@ -57,7 +60,12 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     checked = sensor_check.Inputs(alarms, level, inputs.residual_tau, inputs.estimate, inputs.qd_hat, inputs.qdd)
     check_next, sensors = sensor_check.step(config, gains, state.check, checked)
     suspect = sensors.suspect > 0
-    return State(alarms_next, check_next), Decision(verdict(alarms.tau & ~suspect, alarms.q | suspect), sensors)
+    said, learned = verdict(alarms.tau & ~suspect, alarms.q | suspect), None
+    if state.learned is not None and inputs.residual_of_all is not None:
+        shown = inputs.statistics, level, inputs.residual_of_all, inputs.estimate.e, inputs.estimate.absent
+        asked = learned_decision.Inputs(*shown, alarms_next, check_next, sensors.suspect, said)
+        learned, said = learned_decision.step(config, gains, state.learned, asked)
+    return State(alarms_next, check_next, learned), Decision(said, sensors)
 
 
 def verdict(actuator: Array, sensor: Array) -> Array:

@@ -241,7 +241,7 @@ def _diagnose(
     means, statistic = statistics.step(config, gains, state.statistics, watched)  # line 6
     if learned is not None:  # less what may still be the model's
         statistic = statistic._replace(tau=learned.trust * statistic.tau)
-    inputs = decision.Inputs(statistic, level, real, seen, qd, qdd)
+    inputs = decision.Inputs(statistic, level, real, seen, qd, qdd, residual.tau)
     decided, said = decision.step(config, gains, state.decision, inputs)  # lines 8, 9
     judged = contact.judge(config, contact.Inputs(arm.pose, statistic.tau, level, said.verdict))
     return means, decided, Found(residual, level, statistic, said, judged)

@@ -27,6 +27,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxftc.config import Config
+from jaxftc.decision_gains import shipped
 from jaxftc.gains import Gains, blocks, build, shape_of, specs
 from jaxftc.observer.readout import exact
 from jaxftc.robot import dynamics, rigid_body
@@ -62,6 +63,7 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
         block, name = path.split(".")
         values[block][name] = values[block][name] * factor
     values["arx"] |= {name: np.zeros(shape_of(config, spec)) for _, name, spec in specs() if spec.default is None}
+    values |= {"decision": dict(shipped())} if config.decision == "learned" else {}
     return exact(config, build(config, values), None if config.input == "rigid_body" else np.linalg.inv(_inertia(config)))
 
 

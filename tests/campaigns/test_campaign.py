@@ -162,6 +162,16 @@ def test_the_summary_counts_what_the_rows_say(folder):
     assert sum(part["n_faults"] for part in printed["by_kind"].values()) == faulty.sum()
 
 
+@pytest.mark.parametrize("option", [("--decision", "learned"), ("--contact", "1")], ids=["decision", "contact"])
+def test_a_replay_has_the_campaign_s_own_decision(option, run, tmp_path):
+    run("campaign", "-n", 3, "--worst", 0, "--out", tmp_path / "run", *option, *SHORT)
+    done = run("simulate", "--from", tmp_path / "run", "--id", 2, "--out", tmp_path / "again", "--json")
+    assert json.loads(done.stdout)["same_as_stored"] is True
+    manifest = store.read_manifest(tmp_path / "run")
+    name = option[0].removeprefix("--")
+    assert str(manifest["request"][name]) == str(manifest["config"][name]) == option[1]
+
+
 def test_a_replay_reproduces_the_row_to_the_last_bit(folder, run, refused, tmp_path):
     out, _ = folder
     done = run("simulate", "--from", out, "--id", 123, "--out", tmp_path, "--json")

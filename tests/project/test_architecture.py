@@ -130,9 +130,9 @@ def test_one_file_imports_mjx():
     assert users == ["jaxftc.robot.mjx"]
 
 
-def test_at_most_one_file_imports_optax():
+def test_optax_descends_for_gains_and_for_a_decision_s_weights_alone():
     users = [name for name in MODULES if any(target.split(".")[0] == "optax" for target in imports(name))]
-    assert len(users) <= 1, users
+    assert set(users) <= {"tuning.decision", "tuning.descent"}, users
 
 
 def test_no_cycle_of_imports():

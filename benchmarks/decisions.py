@@ -1,0 +1,82 @@
+"""The learned decision against the rule, on the same runs: ``python -m benchmarks.decisions puma560 --seeds 91 301``.
+
+An arm is ``puma560``, a robot file, or ``random:K`` of ``tuning/random_arms.py``, of which training has those from 0 on.
+Gains are the defaults, thresholds those for 1 % of healthy runs with an alarm. Alarms, motion and false alarms of the two
+are the same, so only what was said of the faults that were detected is compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+
+import jax
+import numpy as np
+
+import jaxftc
+from jaxftc.evaluation.intervals import bootstrap
+from jaxftc.robot.arm_file import read_robot
+from tuning.random_arms import random_arm
+
+HEALTHY = 2048  # runs that thresholds are set on and checked on, half each
+COLUMNS = ("kind_right", "joint_right", "verdict_right")
+
+
+def arm(name: str) -> jaxftc.Robot:
+    """The arm of a name; one without motor inertia or friction gets some, as faults would throw it about."""
+    if name == "puma560":
+        return jaxftc.puma560()
+    if name.startswith("random:"):
+        return random_arm(int(name.removeprefix("random:")))
+    robot = read_robot(name)
+    if not robot.frictionless:
+        return robot
+    limit = np.where(np.isfinite(robot.torque_limit), robot.torque_limit, 50.0)
+    friction = {"coulomb_positive": 0.06 * limit, "coulomb_negative": 0.05 * limit}
+    damping = {f"damping_{way}": 0.03 * limit for way in ("positive", "negative")}
+    return robot.replace(armature=np.maximum(0.7 * robot.inertia_diagonal, 0.1), torque_limit=limit, **friction, **damping)
+
+
+def compare(config: jaxftc.Config, preset: str, seed: int, n: int) -> dict[str, np.ndarray]:
+    """Whether each fault that was detected was named rightly: [2, faults] of the rule and the learned decision."""
+    keys = jax.random.split(jax.random.key(seed), 4)
+    learned, default = dataclasses.replace(config, decision="learned"), jaxftc.default_gains(config)
+    healthy = jaxftc.sample_scenarios(keys[0], HEALTHY, preset, config=config)
+    gains = jaxftc.calibrate(config, default, healthy, keys[1]).gains
+    gains = dataclasses.replace(gains, decision=jaxftc.default_gains(learned).decision)
+    scenarios = jaxftc.sample_scenarios(keys[2], n, preset, config=config)
+    rows = [jaxftc.campaign(c, gains, scenarios, keys[3]) for c in (config, learned)]
+    if not np.array_equal(rows[0]["delay_s"], rows[1]["delay_s"], equal_nan=True):
+        raise RuntimeError("the alarms of the two differ")
+    found = rows[0]["detected"]
+    names = [f"{column}{when}" for when in ("", "_settled") for column in COLUMNS]
+    return {name: np.stack([one[name][found] for one in rows]).astype(float) for name in names}
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """A line for each arm, preset and seed: shares right of the rule, and what the learned decision adds, in points."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.decisions", description=__doc__)
+    parser.add_argument("arms", nargs="+", metavar="ARM")
+    parser.add_argument("--presets", nargs="+", default=["standard", "hard", "doubles"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[91])
+    parser.add_argument("--adaptive", action="store_true", help="the arm is learned while it runs")
+    parser.add_argument("-n", type=int, default=2048, help="scenarios of each preset and seed")
+    given = parser.parse_args(words)
+    jaxftc.configure_xla()
+    print("kind, joint, both 60 ms after the alarm | settled: rule, and learned less rule with its 95 % interval, %")
+    for name in given.arms:
+        config = jaxftc.Config(arm(name), engine="chain", adaptive=given.adaptive)
+        for preset in given.presets:
+            for seed in given.seeds:
+                found = compare(config, preset, seed, given.n)
+                cells = []
+                for pair in found.values():
+                    gain = bootstrap(pair, lambda x: 100 * (x[1] - x[0]).mean(-1))
+                    cells.append(f"{100 * pair[0].mean():.1f} {gain.value:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]")
+                said = " | ".join(", ".join(part) for part in (cells[:3], cells[3:]))
+                print(f"{name} {preset} {seed}, {len(pair[0])} faults: {said}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""The weights of the learned decision (``diagnosis/learned_decision.py``): gains of a block of their own.
+
+They are there where ``config.decision`` is ``learned``. A gains file may hold its own. One that does not gets those that
+come with the library, ``decision.toml``, which ``python -m tuning.decision`` makes.
+"""
+
+from __future__ import annotations
+
+import functools
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jaxftc.gain_spec import block, gain
+from jaxftc.types import Array
+
+SHIPPED = Path(__file__).parent / "diagnosis" / "decision.toml"
+
+
+@block
+class DecisionGains:
+    """Weights of the learned decision, the same for every joint: layers of 40 and 24 units, and two outputs."""
+
+    centre: Array = gain("42", "1", None, doc="subtracted from what is shown")
+    width: Array = gain("42", "1", None, above=0.0, doc="what that is divided by")
+    low: Array = gain("42", "1", None, doc="least that was shown in training; below it the rule's verdict stays")
+    high: Array = gain("42", "1", None, doc="most that was shown in training")
+    first: Array = gain("42 40", "1", None, doc="first layer")
+    first_bias: Array = gain("40", "1", None, doc="its bias")
+    second: Array = gain("40 24", "1", None, doc="second layer")
+    second_bias: Array = gain("24", "1", None, doc="its bias")
+    last: Array = gain("24 2", "1", None, doc="outputs, log odds of an actuator and of an encoder fault")
+    last_bias: Array = gain("2", "1", None, doc="their bias")
+    doubt: Array = gain("1", "1", None, low=0.0, doc="log odds within which one is unsure, and the rule's verdict stays")
+
+
+@functools.cache
+def shipped() -> Mapping[str, np.ndarray]:
+    """The weights that come with the library, by name."""
+    table = tomllib.loads(SHIPPED.read_text(encoding="utf-8"))["decision"]
+    return {name: np.asarray(entry["value"], float) for name, entry in table.items()}

@@ -1,0 +1,233 @@
+"""A learned decision with memory: which joints and channels are named once the rule has raised an alarm, block 7.
+
+The rule of Eqs. (17), (18) judges each joint by itself and by this moment. What has been, and what the other joints show,
+says more: a torque that comes and goes is no drift, and the largest of three alarms is likelier a fault than the smallest.
+A small network looks at that. Its weights are gains, the same for every joint of every arm, so all that it looks at has no
+unit: statistics and residuals over their thresholds, the innovation over a jump's size, what the sensor check counts. It
+remembers by leaky means and decaying peaks, whose times are in seconds.
+
+* It names, and never decides whether there is an alarm: without one of the rule nothing is said, with one something is.
+* The rule's verdict stays where the network names nothing or is unsure of a joint, where something that it looks at lies
+  outside of what it was trained on, while a reading is absent, and until it has been asked since the alarm rose.
+* It is asked every ``PERIOD``; in between its last answer stands.
+
+``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxftc.compile.box import box
+from jaxftc.config import Config
+from jaxftc.decision_gains import DecisionGains
+from jaxftc.diagnosis import alarm, sensor_check
+from jaxftc.diagnosis.statistics import Statistics
+from jaxftc.gains import Gains
+from jaxftc.numerics.barrier import store
+from jaxftc.numerics.batch import trailing
+from jaxftc.types import Array
+
+PERIOD = 0.004  # s between two questions, at least a tick
+FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
+SOON = 0.06  # s, at which a time counts half
+MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
+
+
+class Signals(NamedTuple):
+    """What is remembered of a joint; all [n, ...], 1. Sizes are log(1 + x), x at most MOST."""
+
+    torque: Array  # statistic of the torque channel over its threshold
+    innovation: Array  # innovation over observer.jump
+    angle: Array  # statistic of the encoder channel over its threshold
+    jumped: Array  # 1 while the encoder alarm is up
+    suspect: Array  # 1 while the sensor check holds the reading to be wrong
+    alarmed: Array  # 1 while the torque alarm is up
+    fallen: Array  # torque residual over its peak in this alarm, at most 1
+
+
+class Peaks(NamedTuple):
+    """Decaying peaks; all [n, ...]."""
+
+    torque: Array
+    innovation: Array
+    angle: Array
+
+
+class State(NamedTuple):
+    """Memory, and the last answer; all [n, ...] floats."""
+
+    fast: Signals  # leaky means
+    slow: Signals
+    side: Array  # leaky mean of the torque statistic with its sign
+    peak: Peaks
+    since: Array  # s since any joint was first in alarm
+    own: Array  # s since this one was
+    wait: Array  # ticks until the next question
+    tau: Array  # 1 where the actuator is named, else 0
+    q: Array  # 1 where the encoder is named
+    speaks: Array  # 1 where the answer counts, the same for all joints
+
+
+class Inputs(NamedTuple):
+    """What a tick takes in."""
+
+    statistics: Statistics
+    threshold_tau: Array  # [n, ...] N m, of this tick
+    residual_tau: Array  # [n, ...] N m, of all joints, whatever their readings
+    e: Array  # [n, ...] rad, innovation
+    absent: Array  # [n, ...] bool, there is no reading
+    alarm: alarm.State
+    check: sensor_check.State
+    suspect: Array  # [n, ...] 1 where the reading is held to be wrong
+    verdict: Array  # [n, ...] int32, the rule's
+
+
+def init(config: Config, gains: Gains, q: Array) -> State:
+    """Nothing remembered, nothing named."""
+    del config, gains
+    zero = jnp.zeros_like(q)
+    signals = Signals(*[zero] * len(Signals._fields))
+    return State(signals, signals, zero, Peaks(zero, zero, zero), *[zero] * 6)
+
+
+@box("Block 7: learned decision")
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+    """State and verdict [n, ...] int32 of this tick. Comparisons: no gradient passes."""
+    gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
+    due = (state.wait <= 0).any()
+    state = jax.lax.cond(due, lambda: _ask(config, gains, state, inputs), lambda: state)
+    alarmed = (inputs.verdict > 0).any(0)
+    state = state._replace(wait=state.wait - 1, speaks=jnp.where(alarmed, state.speaks, 0.0))
+    heard = alarmed & (state.speaks > 0) & ~inputs.absent.any(0)
+    named = (state.tau + 2 * state.q).astype(inputs.verdict.dtype)
+    return state, jnp.where(heard, named, inputs.verdict)
+
+
+def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> State:
+    state, seen = look(config, gains, state, inputs)
+    odds = logits(gains.decision, seen)
+    named = (odds > 0).astype(state.tau.dtype)
+    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1))
+    speaks = sure & familiar(gains.decision, seen) & (named > 0).any((0, 1))
+    return state._replace(
+        wait=jnp.full_like(state.wait, period(config)),
+        tau=named[0],
+        q=named[1],
+        speaks=jnp.where(speaks, 1.0, jnp.zeros_like(state.tau)),
+    )
+
+
+def period(config: Config) -> int:
+    """Ticks from one question to the next."""
+    return max(1, round(PERIOD / config.dt))
+
+
+def look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+    """The memory with this moment in it, and what the network is shown, [len(NAMES), n, ...]."""
+    dt, check, jump = period(config) * config.dt, inputs.check, gains.observer.jump
+    signed = inputs.statistics.tau / inputs.threshold_tau
+    peak = check.transient.peak
+    now = Signals(
+        torque=_size(signed),
+        innovation=_size(inputs.e / jump),
+        angle=_size(inputs.statistics.q / gains.diagnosis.alpha_q),
+        jumped=inputs.alarm.q,
+        suspect=inputs.suspect,
+        alarmed=inputs.alarm.tau,
+        fallen=jnp.where(peak > 0, jnp.minimum(jnp.abs(inputs.residual_tau) / jnp.where(peak > 0, peak, 1.0), 1.0), 0.0),
+    )
+    fast, slow = (Signals(*(_leaky(old, x, dt / t) for old, x in zip(means, now, strict=True))) for means, t in (
+        (state.fast, FAST), (state.slow, SLOW)))  # fmt: skip
+    decay = math.exp(-dt / PEAK)
+    peaks = Peaks(*(jnp.maximum(getattr(now, name), decay * getattr(state.peak, name)) for name in Peaks._fields))
+    side = _leaky(state.side, jnp.sign(signed) * now.torque, dt / MEDIUM)
+    own = now.jumped + now.suspect + now.alarmed > 0
+    state = state._replace(
+        fast=fast,
+        slow=slow,
+        side=side,
+        peak=peaks,
+        since=jnp.where(own.any(0), state.since + dt, jnp.zeros_like(state.since)),
+        own=jnp.where(own, state.own + dt, 0.0),
+    )
+    return state, _shown(config, state, now, inputs, jump)
+
+
+def _shown(config: Config, state: State, now: Signals, inputs: Inputs, jump: Array) -> Array:
+    """What the network is shown, in the order of ``NAMES``."""
+    check, fast, slow, peaks = inputs.check, state.fast, state.slow, state.peak
+    age = check.transient.age * config.dt
+    residual = _size(inputs.residual_tau / inputs.threshold_tau)
+    alone = [
+        residual,
+        jnp.minimum(check.jumps.total / sensor_check.MANY_JUMPS, 4.0),
+        jnp.minimum(jnp.abs(check.jumps.signed) / sensor_check.MANY_JUMPS, 4.0),
+        check.freeze.equal / (check.freeze.equal + sensor_check.FROZEN_READINGS),
+        _size(check.freeze.travel / jump),
+        jnp.minimum(check.counts.turns / sensor_check.SHARP_TURNS, 2.0),
+        _size(check.transient.peak / inputs.threshold_tau),
+        age / (age + SOON),
+        jnp.abs(state.side),
+        state.since / (state.since + SOON),
+        state.own / (state.own + SOON),
+    ]
+    others = (now.torque, residual, peaks.torque, peaks.angle, slow.suspect, slow.jumped, fast.innovation)
+    return jnp.stack(store([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others)]))
+
+
+NAMES = (  # of what the network is shown
+    *(f"{kind} {name}" for kind in ("now", "fast", "slow") for name in Signals._fields),
+    *(f"peak {name}" for name in Peaks._fields),
+    *("residual", "jumps", "jumps one way", "equal readings", "travel", "turns", "alarm's peak", "alarm's age", "side"),
+    *("since any alarm", "since own alarm"),
+    *(f"others' {name}" for name in ("torque", "residual", "peak torque", "peak angle", "suspect", "jumped", "innovation")),
+)
+
+
+def logits(weights: DecisionGains, seen: Array) -> Array:
+    """Log odds [2, n, ...] of an actuator and of an encoder fault, of what is shown [len(NAMES), n, ...]."""
+    x = (seen - _column(weights.centre, seen)) / _column(weights.width, seen)
+    for matrix, bias in ((weights.first, weights.first_bias), (weights.second, weights.second_bias)):
+        x = jnp.maximum(_times(matrix, x) + _column(bias, seen), 0.0)
+    return _times(weights.last, x) + _column(weights.last_bias, seen)
+
+
+def familiar(weights: DecisionGains, seen: Array) -> Array:
+    """Whether all that is shown [len(NAMES), n, ...] lies within what the network was trained on, [...] bool."""
+    low, high = (_column(bound, seen) for bound in (weights.low, weights.high))
+    return ((seen >= low) & (seen <= high)).all((0, 1))
+
+
+def _size(x: Array) -> Array:
+    return jnp.log1p(jnp.minimum(jnp.abs(x), MOST))
+
+
+def _leaky(old: Array, x: Array, ticks: float) -> Array:
+    """Leaky mean after a time, in its time constants."""
+    return old - math.expm1(-ticks) * (x - old)
+
+
+def _largest_other(x: Array) -> Array:
+    """The largest of the other joints' [n, ...]; 0 for an arm of one joint."""
+    if len(x) == 1:
+        return jnp.zeros_like(x)
+    best = x.max(0)
+    is_best = x >= best
+    second = jnp.where(is_best, -jnp.inf, x).max(0)
+    several = is_best.sum(0) > 1
+    return jnp.where(is_best & ~several, second, best)
+
+
+def _column(x: Array, like: Array) -> Array:
+    """Numbers [k, ...] for each joint of [k, n, ...]."""
+    return trailing(x, 1, like.ndim - 2)[:, None]
+
+
+def _times(matrix: Array, x: Array) -> Array:
+    """[k, h, ...] turned over, times [k, n, ...]: [h, n, ...]."""
+    return jnp.einsum("kh...,kn...->hn...", matrix, x, precision="highest")

@@ -1,0 +1,277 @@
+"""The learned decision: its twin, what it never does, its weights as gains, and an arm that it has not seen."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.test_util import check_grads
+
+import jaxftc
+from jaxftc import decision_gains
+from jaxftc.compile.scalars import scalars
+from jaxftc.decision_gains import DecisionGains
+from jaxftc.diagnosis import alarm, learned_decision, sensor_check
+from jaxftc.diagnosis.statistics import Statistics
+from tests.arms import three_hinges, two_hinges
+from tests.twins import learned_decision as twins
+
+N, TICKS = 3, 60
+
+
+@pytest.fixture(scope="module")
+def config() -> jaxftc.Config:
+    return jaxftc.Config(three_hinges(), engine="chain", decision="learned")
+
+
+@pytest.fixture(scope="module")
+def gains(config) -> jaxftc.Gains:
+    """With weights that say something else than the rule at nearly every moment."""
+    return drawn(jaxftc.default_gains(config))
+
+
+def drawn(gains: jaxftc.Gains, seed: int = 5) -> jaxftc.Gains:
+    rng = np.random.default_rng(seed)
+    layers = {name: 0.3 * rng.normal(size=getattr(gains.decision, name).shape) for name in ("first", "second", "last")}
+    return gains.replace({f"decision.{name}": value for name, value in (layers | everything_is_known()).items()})
+
+
+def everything_is_known() -> dict[str, float]:
+    return {"low": -1e6, "high": 1e6, "centre": 0.5, "width": 1.0, "last_bias": 0.0, "doubt": 0.1}
+
+
+def signals(seed: int = 3) -> dict[str, np.ndarray]:
+    """Signals of a run [T, n], alarms among them."""
+    rng = np.random.default_rng(seed)
+    names = ("tau", "q", "e", "residual", "peak", "jumps", "one_way", "equal", "travel", "turns", "age")
+    x = {name: rng.normal(size=(TICKS, N)) for name in names}
+    x |= {name: 4 * np.abs(x[name]) for name in ("peak", "jumps", "equal", "travel", "turns", "age")}
+    x["peak"][rng.uniform(size=(TICKS, N)) < 0.3] = 0.0
+    x |= {
+        name: np.repeat(rng.uniform(size=(TICKS // 6, N)) < 0.15, 6, 0).astype(float)
+        for name in ("up_tau", "up_q", "suspect")
+    }
+    return x | {"threshold": 0.5 + rng.uniform(size=(TICKS, N)), "e": 1e-3 * x["e"], "q": 0.02 * x["q"]}
+
+
+def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> learned_decision.Inputs:
+    """The same as the block takes them; every field [T, n]."""
+    zero = jnp.zeros((TICKS, N))
+    check = sensor_check.State(
+        transient=sensor_check.Transient(zero, jnp.asarray(x["age"] / config.dt), jnp.asarray(x["peak"]), zero, zero),
+        jumps=sensor_check.Jumps(jnp.asarray(x["jumps"]), jnp.asarray(x["one_way"])),
+        freeze=sensor_check.Freeze(zero, jnp.asarray(x["equal"]), zero, zero, jnp.asarray(x["travel"])),
+        counts=sensor_check.Counts(zero, zero, jnp.asarray(x["turns"]), zero),
+    )
+    rule = (x["up_tau"] * (1 - x["suspect"]) + 2 * np.maximum(x["up_q"], x["suspect"])).astype(np.int32)
+    return learned_decision.Inputs(
+        statistics=Statistics(jnp.asarray(x["tau"]), jnp.asarray(x["q"])),
+        threshold_tau=jnp.asarray(x["threshold"]),
+        residual_tau=jnp.asarray(x["residual"]),
+        e=jnp.asarray(x["e"]),
+        absent=zero > 1,
+        alarm=alarm.State(jnp.asarray(x["up_tau"]), zero, jnp.asarray(x["up_q"]), zero),
+        check=check,
+        suspect=jnp.asarray(x["suspect"]),
+        verdict=jnp.asarray(rule),
+    )
+
+
+def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> np.ndarray:
+    """Verdicts [T, n]."""
+    start = learned_decision.init(config, gains, jnp.zeros(N))
+    run = jax.jit(lambda g, s, i: jax.lax.scan(lambda s, i: learned_decision.step(config, g, s, i), s, i))
+    return np.asarray(run(gains, start, inputs)[1])
+
+
+def test_it_says_what_its_twin_says(config, gains):
+    """Asked every fourth tick; in between the last answer stands, but never one from before the alarm."""
+    x = signals()
+    every = learned_decision.period(config)
+    assert every == 4
+    weights = {f.name: np.asarray(getattr(gains.decision, f.name)) for f in dataclasses.fields(DecisionGains)}
+    twin = twins.Twin(N, every * config.dt, np.asarray(gains.observer.jump), np.asarray(gains.diagnosis.alpha_q))
+    inputs = inputs_of(config, x)
+    rule, expected, named, speaks = np.asarray(inputs.verdict), [], None, False
+    for k in range(TICKS):
+        if k % every == 0:
+            shown = twin.look({name: values[k] for name, values in x.items()})
+            assert shown.shape[0] == len(learned_decision.NAMES)
+            odds = twins.answer(weights, shown)
+            bits = odds > 0
+            named, speaks = bits[0] + 2 * bits[1], bits.any() and (abs(odds) >= 0.1).all()
+        speaks = speaks and (rule[k] > 0).any()
+        expected.append(named if speaks else rule[k])
+    got = said(config, gains, inputs)
+    np.testing.assert_array_equal(got, expected)
+    assert (got != rule).any(1).mean() > 0.4, "weights that say what the rule says would prove nothing"
+
+
+def test_it_asks_every_tick_of_a_slow_loop(config):
+    assert learned_decision.period(dataclasses.replace(config, dt=0.01)) == 1
+    assert learned_decision.period(dataclasses.replace(config, dt=0.0005)) == 8
+
+
+def test_it_names_and_never_decides_whether_there_is_an_alarm(config, gains):
+    inputs = inputs_of(config, signals())
+    for seed in range(4):
+        got = said(config, drawn(gains, seed), inputs)
+        np.testing.assert_array_equal((got > 0).any(1), (np.asarray(inputs.verdict) > 0).any(1))
+
+
+@pytest.mark.parametrize("why", ["silent", "unsure", "unfamiliar", "no reading", "not asked since the alarm"])
+def test_the_rule_s_verdict_stays(config, gains, why):
+    inputs = inputs_of(config, signals())
+    if why == "silent":
+        gains = gains.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
+    elif why == "unsure":
+        gains = gains.replace({"decision.doubt": 50.0})
+    elif why == "unfamiliar":
+        gains = gains.replace({"decision.high": np.where(np.arange(len(learned_decision.NAMES)) == 5, -1.0, 1e6)})
+    elif why == "no reading":
+        inputs = inputs._replace(absent=inputs.absent.at[:, 1].set(True))
+    else:  # alarms that rise and end between two questions
+        between = jnp.arange(TICKS)[:, None] % 4 > 0
+        inputs = inputs._replace(verdict=jnp.where(between, inputs.verdict, 0))
+    np.testing.assert_array_equal(said(config, gains, inputs), inputs.verdict)
+    assert (np.asarray(inputs.verdict) > 0).any()
+
+
+def test_a_memory_in_seconds_is_the_same_at_any_sample_time(config, gains):
+    """What is remembered of a step after 0.2 s, asked every 4 ms and every 5 ms."""
+    found = []
+    for dt in (0.001, 0.005):
+        own = dataclasses.replace(config, dt=dt)
+        inputs = jax.tree.map(lambda leaf: leaf[7], inputs_of(own, signals()))
+        state = learned_decision.init(own, gains, jnp.zeros(N))
+        for _ in range(round(0.2 / (dt * learned_decision.period(own)))):
+            state, shown = learned_decision.look(own, gains, state, inputs)
+        found.append(shown)
+    np.testing.assert_allclose(*found, atol=2e-3)
+
+
+def test_slopes_in_the_weights_are_those_of_finite_differences(config, gains):
+    shown = jnp.asarray(np.random.default_rng(2).normal(size=(len(learned_decision.NAMES), N)))
+    layers = {name: getattr(gains.decision, name) for name in ("first", "first_bias", "second", "last", "last_bias")}
+
+    def cost(layers, shown):
+        return (learned_decision.logits(dataclasses.replace(gains.decision, **layers), shown) ** 2).sum()
+
+    check_grads(cost, (layers, shown), order=1, atol=1e-5, rtol=1e-5, eps=1e-6)
+
+
+def test_the_loop_has_finite_slopes_and_hears_nothing_of_it(config, gains):
+    """Torques are those of the rule to the last bit; the gradient of a run is finite, and 0 in the weights."""
+    config = dataclasses.replace(config, duration=0.16)
+    rule = dataclasses.replace(config, decision="rule")
+    scenario, key = jaxftc.paper_scenario("both", config), jax.random.key(1)
+    runs = [jaxftc.simulate(c, gains.replace({"diagnosis.alpha_tau": 0.3}), scenario, key) for c in (rule, config)]
+    np.testing.assert_array_equal(*(run.out.tau for run in runs))
+    np.testing.assert_array_equal(*(run.out.detected for run in runs))
+    assert (np.asarray(runs[0].out.verdict) != np.asarray(runs[1].out.verdict)).any()
+    slopes = jax.grad(lambda g: (jaxftc.simulate(config, g, scenario, key).out.residual_tau ** 2).sum())(gains)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+    assert not any(np.any(leaf) for leaf in jax.tree.leaves(slopes.decision))
+
+
+# Its weights are gains.
+
+
+def test_weights_are_there_where_they_are_used(config, gains, tmp_path):
+    rule = dataclasses.replace(config, decision="rule")
+    assert jaxftc.default_gains(rule).decision is None
+    with pytest.raises(ValueError, match=r"gains.decision lacks the weights"):
+        jaxftc.init(config, jaxftc.default_gains(rule), jnp.zeros(N))
+    own, without = tmp_path / "own.toml", tmp_path / "without.toml"
+    jaxftc.save_gains(own, gains, config)
+    jaxftc.save_gains(without, jaxftc.default_gains(rule), rule)
+    jax.tree.map(np.testing.assert_array_equal, jaxftc.load_gains(own, config), gains)
+    shipped = jaxftc.load_gains(without, config).decision
+    jax.tree.map(np.testing.assert_array_equal, shipped, jaxftc.default_gains(config).decision)
+    assert jaxftc.load_gains(own, rule).decision is None
+    own.write_text(own.read_text().replace("[decision.last_bias]", "[decision.lost_bias]"))
+    with pytest.raises(ValueError, match=r"unknown gain 'decision.lost_bias'"):
+        jaxftc.load_gains(own, config)
+
+
+def test_the_shipped_weights_fit_what_is_shown():
+    shipped = decision_gains.shipped()
+    assert shipped.keys() == {field.name for field in dataclasses.fields(DecisionGains)}
+    for field in dataclasses.fields(DecisionGains):
+        assert shipped[field.name].shape == tuple(map(int, field.metadata["spec"].axes))
+    assert len(shipped["centre"]) == len(learned_decision.NAMES) and (shipped["low"] < shipped["high"]).all()
+
+
+@pytest.mark.parametrize(
+    "change", [{"observer": "eso"}, {"input": "torque"}, {"scheme": "momentum"}, {"contact": 1}], ids=lambda c: next(iter(c))
+)
+def test_what_it_was_not_trained_on_is_refused(config, change):
+    with pytest.raises(ValueError, match=r"decision='learned' was trained on the complete cascade"):
+        dataclasses.replace(config, **change)
+
+
+def test_products_of_matrices_become_products_of_numbers():
+    """As exported code has them; the operations of the list are done here one by one."""
+    rng = np.random.default_rng(1)
+    a, b = rng.normal(size=(3, 4)), rng.normal(size=(4, 2))
+    program = scalars(lambda a, b: jnp.einsum("kh,nk->hn", b, a), a, b)
+    values, leaves = [], (a.ravel(), b.ravel())
+    for operation in program.operations:
+        if operation.name == "input":
+            leaf, number = operation.args
+            values.append(leaves[leaf][number])
+        else:
+            one, other = (values[place] for place in operation.args)
+            values.append({"mul": one * other, "add": one + other}[operation.name])
+    got = np.array([values[place] for place in program.results[0].ravel()]).reshape(2, 3)
+    np.testing.assert_allclose(got, (a @ b).T, rtol=1e-12)
+
+
+# An arm that the shipped weights have not seen.
+
+FAULTS = 1024
+
+
+@pytest.fixture(scope="module")
+def shares():
+    """Shares right [rule, learned] of standard and hard, by column; the runs and the thresholds are the same."""
+    with jax.enable_x64(False):
+        rule = jaxftc.Config(two_hinges(), engine="chain")
+        learned, found = dataclasses.replace(rule, decision="learned"), {}
+        for preset in ("standard", "hard", "uncommon"):
+            draw = lambda key, n, preset=preset: jaxftc.sample_scenarios(jax.random.key(key), n, preset, config=rule)  # noqa: E731
+            set_for = jaxftc.calibrate(rule, jaxftc.default_gains(rule), draw(1, 700), jax.random.key(2)).gains
+            weights = dataclasses.replace(set_for, decision=jaxftc.default_gains(learned).decision)
+            rows = [jaxftc.campaign(c, weights, draw(3, FAULTS), jax.random.key(4)) for c in (rule, learned)]
+            found[preset] = rows
+        return found
+
+
+def right(rows, column: str) -> float:
+    return float(rows[column][rows["detected"]].mean())
+
+
+def test_alarms_and_motion_are_the_rule_s(shares):
+    for rule, learned in shares.values():
+        told = [name for name in rule if "right" in name or "hat" in name or name in ("isolated_s", "complete_s")]
+        moved = [name for name in rule if name not in told and not np.array_equal(rule[name], learned[name], equal_nan=
+                 rule[name].dtype.kind == "f")]  # fmt: skip
+        assert not moved
+
+
+@pytest.mark.parametrize("when", ["", "_settled"])
+def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(shares, when):
+    """Two hinges, fewer than any arm in training has: not below the rule by more than chance, and above it on ``hard``."""
+    for preset in ("standard", "uncommon"):
+        for part in ("kind_right", "joint_right"):
+            rule, learned = (right(rows, f"{part}{when}") for rows in shares[preset])
+            assert learned > rule - 0.015, (preset, part, rule, learned)
+    rule, learned = (right(rows, f"verdict_right{when}") for rows in shares["hard"])
+    assert learned > rule + 0.03, (rule, learned)
+
+
+def test_a_kind_of_fault_is_never_called_normal_where_the_rule_sees_it(shares):
+    for rule, learned in shares.values():
+        for column in ("kind_hat", "kind_hat_settled"):
+            np.testing.assert_array_equal(rule[column] == "normal", learned[column] == "normal")
