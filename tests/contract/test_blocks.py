@@ -84,6 +84,12 @@ SMALL = [
     Block("alarm", alarm, alarm.Inputs(statistics.Statistics(3.0, 0.02), 2.0)),
     Block("sensor-check", sensor_check, sensor_check.Inputs(alarm.Alarms(False, False), 2.0, 3.0, ESTIMATE, 2.0, 1.0)),
     Block("decision", decision, decision.Inputs(statistics.Statistics(3.0, 0.02), 2.0, 3.0, ESTIMATE, 2.0, 1.0)),
+    Block(
+        "decision-learned",
+        decision,
+        decision.Inputs(statistics.Statistics(3.0, 0.02), 2.0, 3.0, ESTIMATE, 2.0, 1.0, 3.0),
+        (("decision", "learned"),),
+    ),
     *(
         Block(
             f"sliding-mode-{control}",
@@ -111,7 +117,7 @@ FEW = [
     *BASELINES,
 ]
 REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for few in FEW}]
-REST += [pair("eso_printed", "esmc"), pair("ts", "afesmc", adaptive=True)]
+REST += [pair("eso_printed", "esmc"), pair("ts", "afesmc", adaptive=True), pair("ts", "afesmc", decision="learned")]
 
 
 def each(*blocks: Block, slow: list[Block] = ()):
