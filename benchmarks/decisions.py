@@ -69,12 +69,13 @@ def main(words: Sequence[str] | None = None) -> None:
         for preset in given.presets:
             for seed in given.seeds:
                 found = compare(config, preset, seed, given.n)
-                cells = []
+                cells, count = [], 0
                 for pair in found.values():
+                    count = len(pair[0])
                     gain = bootstrap(pair, lambda x: 100 * (x[1] - x[0]).mean(-1))
                     cells.append(f"{100 * pair[0].mean():.1f} {gain.value:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]")
                 said = " | ".join(", ".join(part) for part in (cells[:3], cells[3:]))
-                print(f"{name} {preset} {seed}, {len(pair[0])} faults: {said}", flush=True)
+                print(f"{name} {preset} {seed}, {count} faults: {said}", flush=True)
 
 
 if __name__ == "__main__":

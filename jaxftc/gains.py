@@ -153,7 +153,7 @@ class Gains:
         adaptation: The arm that is learned while it runs.
         baseline: The other schemes of the package, which one gains file serves.
         own: Those of a scheme of the user's, if it has any.
-        decision: Weights of the learned decision, where that is used.
+        decision: Weights of the learned decision (``DecisionGains``), where that is used.
     """
 
     arx: ArxGains
@@ -163,7 +163,7 @@ class Gains:
     adaptation: AdaptationGains
     baseline: BaselineGains
     own: Any = None
-    decision: DecisionGains | None = None
+    decision: Any = None
 
     def replace(self, changes: Mapping[str, ArrayLike]) -> Gains:
         """Gains with some of them changed: ``gains.replace({"control.lam": 30.0})``.
