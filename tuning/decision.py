@@ -186,7 +186,8 @@ def train(parts: Sequence[Moments], seed: int = 0, steps: int = STEPS) -> tuple[
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, steps), weight_decay=DECAY)
 
     def loss(layers: dict[str, Array], some: Moments) -> Array:
-        said = learned_decision.logits(DecisionGains(**fixed, **layers), jnp.asarray(some.seen.T, jnp.float32)[:, None])[:, 0]
+        seen = jnp.asarray(some.seen.T, jnp.float32)[:, None]
+        said = learned_decision.logits(DecisionGains(**fixed, **layers), seen)[:, 0]
         wrong = optax.sigmoid_binary_cross_entropy(said, some.wanted.T).sum(0)
         return (wrong * some.weight).sum() / some.weight.sum()
 
