@@ -129,9 +129,10 @@ class Config:
     def _check_decision(self) -> None:
         if self.decision == "rule":
             return
-        if self.scheme != "cascade" or self.observer != "ts" or self.input != "rigid_body" or self.contact:
+        staged = getattr(variants.load(self.scheme), "STAGED", False)
+        if not staged or self.observer != "ts" or self.input != "rigid_body" or self.contact:
             raise ValueError(
-                "decision='learned' was trained on the complete cascade: it needs scheme='cascade', observer='ts', "
+                "decision='learned' was trained on the complete cascade: it needs a scheme of its stages, observer='ts', "
                 "input='rigid_body' and contact=0, as contacts are judged from the rule's verdicts; "
                 f"got {self.scheme!r}, {self.observer!r}, {self.input!r}, {self.contact}"
             )
