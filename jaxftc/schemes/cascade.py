@@ -171,8 +171,7 @@ def _to_compensate(config: Config, gains: Gains, sensors: SensorStatus, seen: Es
     if config.input == "torque":  # see _applied
         return compensation.Inputs(zero, zero)
     left = jnp.where(jnp.abs(seen.b) < gains.observer.jump, adaptation.not_in_psi(config, gains) * seen.e, 0.0)
-    left = sensor_check.mask_suspect(sensors, left)
-    return compensation.Inputs(seen.psi, either(on.fuzzy, left, zero))
+    return compensation.Inputs(seen.psi, either(on.fuzzy, sensor_check.mask_suspect(sensors, left), zero))
 
 
 def _to_control(applied: Applied, seen: Estimate, psi: Array, reference: Reference, on: Stages) -> sliding_mode.Inputs:
