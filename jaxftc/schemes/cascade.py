@@ -164,15 +164,14 @@ def _applied(config: Config, state: State, tau: Array) -> Applied:
 def _to_compensate(config: Config, gains: Gains, sensors: SensorStatus, seen: Estimate, on: Stages) -> compensation.Inputs:
     """What is known of the actuator fault.
 
-    The innovation of a reading that is suspect, or has a fault, says nothing sure of it: one that has stopped shows none of
-    the motion that was commanded. Nor does that of an observer without an estimate of encoder faults.
+    The innovation of a reading that is suspect or faulty says nothing sure of it: one that has stopped shows no motion. Nor
+    does that of an observer without an estimate of encoder faults.
     """
     zero = jnp.zeros_like(seen.psi)
     if config.input == "torque":  # see _applied
         return compensation.Inputs(zero, zero)
     left = jnp.where(jnp.abs(seen.b) < gains.observer.jump, adaptation.not_in_psi(config, gains) * seen.e, 0.0)
-    left = sensor_check.mask_suspect(sensors, left)
-    return compensation.Inputs(seen.psi, either(on.fuzzy, left, zero))
+    return compensation.Inputs(seen.psi, either(on.fuzzy, sensor_check.mask_suspect(sensors, left), zero))
 
 
 def _to_control(applied: Applied, seen: Estimate, psi: Array, reference: Reference, on: Stages) -> sliding_mode.Inputs:
