@@ -161,9 +161,10 @@ def test_slopes_in_the_weights_are_those_of_finite_differences(config, gains):
     check_grads(cost, (layers, shown), order=1, atol=1e-5, rtol=1e-5, eps=1e-6)
 
 
-def test_the_loop_has_finite_slopes_and_hears_nothing_of_it(config, gains):
+def test_the_loop_has_finite_slopes_and_hears_nothing_of_it():
     """Torques are those of the rule to the last bit; the gradient of a run is finite, and 0 in the weights."""
-    config = dataclasses.replace(config, duration=0.16)
+    config = jaxftc.Config(two_hinges(), engine="chain", decision="learned", duration=0.16)
+    gains = drawn(jaxftc.default_gains(config))
     rule = dataclasses.replace(config, decision="rule")
     scenario, key = jaxftc.paper_scenario("both", config), jax.random.key(1)
     runs = [jaxftc.simulate(c, gains.replace({"diagnosis.alpha_tau": 0.3}), scenario, key) for c in (rule, config)]
