@@ -17,6 +17,7 @@ SAMPLES = 400  # rows looked at
 SLOWEST = 0.5  # the slowest share of the rows, by joint speed
 BAD, BETTER = 0.5, 0.5  # a column is doubted above this share unexplained; a hypothesis is named below this part of all
 EVEN = 0.95  # of what is left, below which a unit that is as likely is taken
+GOOD = 0.3  # share unexplained, above which another unit explains nothing: a quick motion is inertia throughout
 WORSE = 0.05  # unexplained, that another unit of an angle may add to a joint
 LOOK = 0.15  # of all columns together, above which their order is looked at
 SPEED = 0.02  # rad/s, both ways in a tenth of the rows, at which friction is seen
@@ -102,7 +103,7 @@ def _angle_unit(
 
 def _halves(way: Fit, now: np.ndarray) -> bool:
     """Whether another unit leaves far less of a joint's torque, by gravity, and hardly more of any."""
-    better = (way.bound < BETTER * now) & (now > LOOK) & (way.weight > WEAK)
+    better = (way.bound < np.minimum(BETTER * now, GOOD)) & (now > LOOK) & (way.weight > WEAK)
     return bool(better.any() and (way.bound < now + WORSE).all())
 
 
