@@ -21,6 +21,7 @@ from jaxftc.types import Array
 TURN, DEGREE = 2 * np.pi, np.pi / 180  # rad
 WIDTHS = 0.05, 0.2, 1.0  # of the mean speed, over which friction may change sign
 ANY = 0.0, np.inf  # gain on gravity
+RIDGE = 1e-6  # of a column's length
 WIDE = 1.1  # of a joint's range, that it may reach in a unit
 
 
@@ -62,13 +63,21 @@ def unexplained(
         widths = [0.05] if gains is None else [part * np.abs(qd[:, j]).mean() + 1e-12 for part in WIDTHS]
         columns = np.stack([held[:, j], *(np.tanh(qd[:, j] / w) for w in widths), qd[:, j], one, -one], axis=1)
         scale = np.linalg.norm(columns, axis=0) + 1e-12
-        found, left = optimize.nnls(columns / scale, tau[:, j])
+        found, left = _nonnegative(columns / scale, tau[:, j])
         gain[j] = found[0] / scale[0]
         if gains is not None and not gains[0] <= gain[j] <= gains[1]:
             gain[j] = np.clip(gain[j], *gains)
-            left = optimize.nnls(columns[:, 1:] / scale[1:], tau[:, j] - gain[j] * held[:, j])[1]
+            left = _nonnegative(columns[:, 1:] / scale[1:], tau[:, j] - gain[j] * held[:, j])[1]
         rest[j] = left / np.sqrt(len(tau)) / spread
     return rest, gain
+
+
+def _nonnegative(columns: np.ndarray, tau: np.ndarray) -> tuple[np.ndarray, float]:
+    """Weights of columns [T, k], none negative, and what is left; with a trace of a ridge, as columns may be alike."""
+    found, left = optimize.nnls(
+        np.concatenate([columns, RIDGE * np.eye(columns.shape[1])]), np.append(tau, np.zeros(columns.shape[1]))
+    )
+    return found, float(left)
 
 
 def torques(robot: Robot, held: np.ndarray, qd: np.ndarray, tau: np.ndarray, doubted: list[int]) -> list[tuple[float, str]]:
