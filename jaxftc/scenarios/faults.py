@@ -174,7 +174,7 @@ class Sensor(Kind):
 
 
 def common(kinds: type[Kind]) -> Kind:
-    """The last of a channel's common kinds; those after it need more memory or knowledge of the motion than a tick has."""
+    """The last of a channel's common kinds; sets without those after it run smaller programs (``Scenario.uncommon``)."""
     return Actuator.STUCK if kinds is Actuator else Sensor.NOISE
 
 
