@@ -21,17 +21,17 @@ SHIPPED = Path(__file__).parent / "diagnosis" / "decision.toml"
 
 @block
 class DecisionGains:
-    """Weights of the learned decision, the same for every joint: layers of 40 and 24 units, and two outputs."""
+    """Weights of the learned decision, the same for every joint: layers of 64 and 32 units, and two outputs."""
 
-    centre: Array = gain("42", "1", None, doc="subtracted from what is shown")
-    width: Array = gain("42", "1", None, above=0.0, doc="what that is divided by")
-    low: Array = gain("42", "1", None, doc="least that was shown in training; below it the rule's verdict stays")
-    high: Array = gain("42", "1", None, doc="most that was shown in training")
-    first: Array = gain("42 40", "1", None, doc="first layer")
-    first_bias: Array = gain("40", "1", None, doc="its bias")
-    second: Array = gain("40 24", "1", None, doc="second layer")
-    second_bias: Array = gain("24", "1", None, doc="its bias")
-    last: Array = gain("24 2", "1", None, doc="outputs, log odds of an actuator and of an encoder fault")
+    centre: Array = gain("44", "1", None, doc="subtracted from what is shown")
+    width: Array = gain("44", "1", None, above=0.0, doc="what that is divided by")
+    low: Array = gain("44", "1", None, doc="least that was shown in training; below it the rule's verdict stays")
+    high: Array = gain("44", "1", None, doc="most that was shown in training")
+    first: Array = gain("44 64", "1", None, doc="first layer")
+    first_bias: Array = gain("64", "1", None, doc="its bias")
+    second: Array = gain("64 32", "1", None, doc="second layer")
+    second_bias: Array = gain("32", "1", None, doc="its bias")
+    last: Array = gain("32 2", "1", None, doc="outputs, log odds of an actuator and of an encoder fault")
     last_bias: Array = gain("2", "1", None, doc="their bias")
     doubt: Array = gain("1", "1", None, low=0.0, doc="log odds within which one is unsure, and the rule's verdict stays")
 

@@ -43,16 +43,16 @@ from jaxftc.simulation import closed_loop, noise
 from jaxftc.types import Array
 from tuning.random_arms import random_arm
 
-ARMS = 12  # in training; every fourth of them learned while it runs
+ARMS = 24  # in training; every other six of them learned while they run
 UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
-RUNS = {"standard": 768, "hard": 768, "doubles": 256, "uncommon": 512, "mixed": 512}  # of each arm; mostly single faults
+RUNS = {"standard": 512, "hard": 2048, "doubles": 512, "uncommon": 512, "mixed": 768}  # of each arm; mostly single faults
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
 FALSE_ALARMS = 0.01
 WIDTH = 256  # runs side by side
 MOMENTS = 6  # of a run, beside the two at which a verdict is scored
 LATEST = 0.45  # s after the alarm
-STEPS, BATCH, RATE, DECAY = 20_000, 2048, 3e-3, 1e-4
-DOUBT = np.log(0.65 / 0.35)  # log odds: a bit that is held to be set with 35 to 65 % is unsure
+STEPS, BATCH, RATE, DECAY = 60_000, 2048, 3e-3, 1e-4
+DOUBT = np.log(0.62 / 0.38)  # log odds: a bit that is held to be set with 38 to 62 % is unsure
 MARGIN = 0.1  # of the range of what was shown, by which a moment may lie outside of it
 
 
@@ -123,7 +123,7 @@ def _program(config: jaxftc.Config) -> Any:
     def run(gains: jaxftc.Gains, scenarios: Scenario, key: Array) -> tuple[Array, Array, online.Truth]:
         gains, stream = threshold.known_constant(gains), noise.streams(key, scenarios.id)
         loop = closed_loop.start(config, gains, scenarios)
-        memory = learned_decision.init(config, gains, loop.q)
+        memory = learned_decision.blank(loop.q)
 
         def tick(loop: closed_loop.Loop, k: Array) -> tuple[closed_loop.Loop, closed_loop.Trace]:
             error = scenarios.noise * noise.normal(stream, k, config.n)
@@ -235,7 +235,7 @@ def collect(arms: Sequence[int], seed: int, runs: dict[str, int]) -> list[Moment
     began = time.perf_counter()
 
     def one(k: int) -> list[Moments]:
-        config = jaxftc.Config(random_arm(arms[k]), engine="chain", adaptive=k % 4 == 3)
+        config = jaxftc.Config(random_arm(arms[k]), engine="chain", adaptive=k // 6 % 2 == 1)
         found = moments(config, seed * 1000 + arms[k], runs)
         said = f"arm {arms[k]}, {config.n} joints: {sum(len(part.seen) for part in found) // config.n} moments"
         print(f"{said}, {time.perf_counter() - began:.0f} s", flush=True)

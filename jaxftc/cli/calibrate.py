@@ -155,6 +155,8 @@ def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> l
 
 def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     """Thresholds, and what the healthy time can promise."""
+    from jaxftc.campaigns.log_thresholds import FARTHEST
+
     promise = found.promise
     wanted = f"{100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, which is {promise.wanted_per_hour:.3g} an hour"
     lines = [
@@ -166,8 +168,9 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     ]
     if promise.method == "tail":
         lines.append(
-            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, which gives "
-            f"{promise.fitted_per_hour:.3g} an hour; record more healthy motion."
+            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, and end at "
+            f"{FARTHEST:g} times the largest seen. There the tail expects {promise.fitted_per_hour:.3g} alarms "
+            "an hour; record more healthy motion."
         )
     else:
         lines.append("The thresholds are set by counting runs.")

@@ -7,9 +7,13 @@ unit: statistics and residuals over their thresholds, the innovation over a jump
 remembers by leaky means and decaying peaks, whose times are in seconds.
 
 * It names, and never decides whether there is an alarm: without one of the rule nothing is said, with one something is.
+  The one exception are the gaps of a fault that comes and goes. Once an alarm has come back, what was named stays through
+  gaps that are not much longer than those before.
 * The rule's verdict stays where the network names nothing or is unsure of a joint, where something that it looks at lies
-  outside of what it was trained on, while a reading is absent, and until it has been asked since the alarm rose.
-* It is asked every ``PERIOD``; in between its last answer stands.
+  outside of what it was trained on, while a reading is absent, and until it has been asked. Of a fault that has come back
+  the network knows more than the rule, so that unsure counts, too.
+* It is asked every ``PERIOD``; in between its last answer stands. The first answers to a fault stand as they are, later
+  ones are averaged: what wavers then is the moment, not the fault.
 
 ``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
 """
@@ -28,12 +32,15 @@ from jaxftc.decision_gains import DecisionGains
 from jaxftc.diagnosis import alarm, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
-from jaxftc.numerics.barrier import store
+from jaxftc.numerics import barrier
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
 
 PERIOD = 0.004  # s between two questions, at least a tick
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
+RETURN = 0.5  # s in which an alarm that comes back is of the same fault
+HELD = 1.5  # times the longest gap so far, for which a fault that comes and goes stays named
+EARLY, AVERAGED = 0.05, 0.4  # s without an average of answers, and the share of the time since then that it goes back
 SOON = 0.06  # s, at which a time counts half
 MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
 
@@ -58,19 +65,37 @@ class Peaks(NamedTuple):
     angle: Array
 
 
-class State(NamedTuple):
-    """Memory, and the last answer; all [n, ...] floats."""
+class Rises(NamedTuple):
+    """Of the two alarms of a joint; all [n, ...]."""
+
+    torque: Array
+    angle: Array
+
+
+class Memory(NamedTuple):
+    """What changes with a question; all [n, ...]."""
 
     fast: Signals  # leaky means
     slow: Signals
     side: Array  # leaky mean of the torque statistic with its sign
     peak: Peaks
+    up: Rises  # 1 where that alarm was up when last asked
+    rises: Rises  # how often it rose, leaky
     since: Array  # s since any joint was first in alarm
     own: Array  # s since this one was
-    wait: Array  # ticks until the next question
-    tau: Array  # 1 where the actuator is named, else 0
-    q: Array  # 1 where the encoder is named
-    speaks: Array  # 1 where the answer counts, the same for all joints
+    tau: Array  # log odds of an actuator fault, averaged
+    q: Array  # of an encoder fault
+
+
+class State(NamedTuple):
+    """All floats."""
+
+    memory: Array  # [rows, n, ...] a Memory in one array, which a tick from Python passes on sooner than many
+    speaks: Array  # [n, ...] 1 where the answer counts, the same for all joints
+    wait: Array  # [n, ...] ticks until the next question
+    age: Array  # [n, ...] ticks since the first alarm of this fault
+    quiet: Array  # [n, ...] ticks since the last one
+    gap: Array  # [n, ...] ticks, longest time between two of them
 
 
 class Inputs(NamedTuple):
@@ -87,39 +112,75 @@ class Inputs(NamedTuple):
     verdict: Array  # [n, ...] int32, the rule's
 
 
+def blank(q: Array) -> Memory:
+    """Nothing remembered, of angles [n, ...]."""
+    zero = jnp.zeros_like(q)
+    signals, rises = Signals(*[zero] * len(Signals._fields)), Rises(zero, zero)
+    return Memory(signals, signals, zero, Peaks(zero, zero, zero), rises, rises, zero, zero, zero, zero)
+
+
 def init(config: Config, gains: Gains, q: Array) -> State:
     """Nothing remembered, nothing named."""
-    del config, gains
+    del gains
     zero = jnp.zeros_like(q)
-    signals = Signals(*[zero] * len(Signals._fields))
-    return State(signals, signals, zero, Peaks(zero, zero, zero), *[zero] * 6)
+    return State(_packed(blank(q)), zero, zero, zero, quiet=zero + _forgotten(config), gap=zero)
+
+
+def _packed(memory: Memory) -> Array:
+    return barrier.stack(jax.tree.leaves(memory))
+
+
+def _unpacked(state: State) -> Memory:
+    return jax.tree.unflatten(jax.tree.structure(blank(state.wait)), barrier.unstack(state.memory))
 
 
 @box("Block 7: learned decision")
 def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
     """State and verdict [n, ...] int32 of this tick. Comparisons: no gradient passes."""
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
-    due = (state.wait <= 0).any()
-    state = jax.lax.cond(due, lambda: _ask(config, gains, state, inputs), lambda: state)
     alarmed = (inputs.verdict > 0).any(0)
-    state = state._replace(wait=state.wait - 1, speaks=jnp.where(alarmed, state.speaks, 0.0))
-    heard = alarmed & (state.speaks > 0) & ~inputs.absent.any(0)
-    named = (state.tau + 2 * state.q).astype(inputs.verdict.dtype)
-    return state, jnp.where(heard, named, inputs.verdict)
+    state = _count(config, state, alarmed)
+    due = (state.wait <= 0).any()
+    memory, speaks = jax.lax.cond(due, lambda: _ask(config, gains, state, inputs), lambda: (state.memory, state.speaks))
+    wait = jnp.where(due, period(config), state.wait) - 1
+    state = state._replace(memory=memory, speaks=jnp.where(alarmed, speaks, state.speaks), wait=wait)
+    tau, q = memory[-2:]
+    held = alarmed | (state.quiet <= HELD * state.gap).all(0)
+    heard = held & (state.speaks > 0) & ~inputs.absent.any(0)
+    named = (tau > 0) + 2 * (q > 0)
+    return state, jnp.where(heard, named.astype(inputs.verdict.dtype), inputs.verdict)
 
 
-def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> State:
-    state, seen = look(config, gains, state, inputs)
-    odds = logits(gains.decision, seen)
-    named = (odds > 0).astype(state.tau.dtype)
-    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1))
-    speaks = sure & familiar(gains.decision, seen) & (named > 0).any((0, 1))
+def _count(config: Config, state: State, alarmed: Array) -> State:
+    """The times of this fault's alarms; ``RETURN`` after the last one it is forgotten."""
+    last = _forgotten(config)
+    back = alarmed & (state.quiet < last)
+    quiet = jnp.where(alarmed, 0.0, jnp.minimum(state.quiet + 1, last))
+    recent = quiet < last
     return state._replace(
-        wait=jnp.full_like(state.wait, period(config)),
-        tau=named[0],
-        q=named[1],
-        speaks=jnp.where(speaks, 1.0, jnp.zeros_like(state.tau)),
+        age=jnp.where(recent, state.age + 1, 0.0),
+        quiet=quiet,
+        gap=jnp.where(back, jnp.maximum(state.gap, state.quiet), jnp.where(recent, state.gap, 0.0)),
+        speaks=jnp.where(recent, state.speaks, 0.0),
     )
+
+
+def _forgotten(config: Config) -> float:
+    """Ticks after its last alarm at which a fault is forgotten."""
+    return 1.0 + round(RETURN / config.dt)
+
+
+def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[Array, Array]:
+    """Memory and whether the answer counts, while there is an alarm."""
+    memory, seen = look(config, gains, _unpacked(state), inputs)
+    step = period(config) * config.dt
+    back = jnp.maximum(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * step)  # s; the first answers stand as they are
+    old = jnp.stack([memory.tau, memory.q])
+    odds = old - jnp.expm1(-step / back) * (logits(gains.decision, seen) - old)
+    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap > 0).all(0)
+    speaks = sure & familiar(gains.decision, seen) & (odds > 0).any((0, 1))
+    tau, q = jnp.where((inputs.verdict > 0).any(0), odds, old)
+    return _packed(memory._replace(tau=tau, q=q)), jnp.broadcast_to(speaks, state.speaks.shape).astype(state.speaks.dtype)
 
 
 def period(config: Config) -> int:
@@ -127,7 +188,7 @@ def period(config: Config) -> int:
     return max(1, round(PERIOD / config.dt))
 
 
-def look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
+def look(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[Memory, Array]:
     """The memory with this moment in it, and what the network is shown, [len(NAMES), n, ...]."""
     dt, check, jump = period(config) * config.dt, inputs.check, gains.observer.jump
     signed = inputs.statistics.tau / inputs.threshold_tau
@@ -142,25 +203,34 @@ def look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
         fallen=jnp.where(peak > 0, jnp.minimum(jnp.abs(inputs.residual_tau) / jnp.where(peak > 0, peak, 1.0), 1.0), 0.0),
     )
     fast, slow = (Signals(*(_leaky(old, x, dt / t) for old, x in zip(means, now, strict=True))) for means, t in (
-        (state.fast, FAST), (state.slow, SLOW)))  # fmt: skip
+        (memory.fast, FAST), (memory.slow, SLOW)))  # fmt: skip
     decay = math.exp(-dt / PEAK)
-    peaks = Peaks(*(jnp.maximum(getattr(now, name), decay * getattr(state.peak, name)) for name in Peaks._fields))
-    side = _leaky(state.side, jnp.sign(signed) * now.torque, dt / MEDIUM)
+    peaks = Peaks(*(jnp.maximum(getattr(now, name), decay * getattr(memory.peak, name)) for name in Peaks._fields))
+    side = _leaky(memory.side, jnp.sign(signed) * now.torque, dt / MEDIUM)
+    up = Rises(now.alarmed, jnp.maximum(now.jumped, now.suspect))
+    rises = Rises(
+        *(
+            math.exp(-dt / SLOW) * n + jnp.maximum(x - old, 0.0)
+            for n, x, old in zip(memory.rises, up, memory.up, strict=True)
+        )
+    )
     own = now.jumped + now.suspect + now.alarmed > 0
-    state = state._replace(
+    memory = memory._replace(
         fast=fast,
         slow=slow,
         side=side,
         peak=peaks,
-        since=jnp.where(own.any(0), state.since + dt, jnp.zeros_like(state.since)),
-        own=jnp.where(own, state.own + dt, 0.0),
+        up=up,
+        rises=rises,
+        since=jnp.where(own.any(0), memory.since + dt, jnp.zeros_like(memory.since)),
+        own=jnp.where(own, memory.own + dt, 0.0),
     )
-    return state, _shown(config, state, now, inputs, jump)
+    return memory, _shown(config, memory, now, inputs, jump)
 
 
-def _shown(config: Config, state: State, now: Signals, inputs: Inputs, jump: Array) -> Array:
+def _shown(config: Config, memory: Memory, now: Signals, inputs: Inputs, jump: Array) -> Array:
     """What the network is shown, in the order of ``NAMES``."""
-    check, fast, slow, peaks = inputs.check, state.fast, state.slow, state.peak
+    check, fast, slow, peaks = inputs.check, memory.fast, memory.slow, memory.peak
     age = check.transient.age * config.dt
     residual = _size(inputs.residual_tau / inputs.threshold_tau)
     alone = [
@@ -172,27 +242,30 @@ def _shown(config: Config, state: State, now: Signals, inputs: Inputs, jump: Arr
         jnp.minimum(check.counts.turns / sensor_check.SHARP_TURNS, 2.0),
         _size(check.transient.peak / inputs.threshold_tau),
         age / (age + SOON),
-        jnp.abs(state.side),
-        state.since / (state.since + SOON),
-        state.own / (state.own + SOON),
+        jnp.abs(memory.side),
+        memory.since / (memory.since + SOON),
+        memory.own / (memory.own + SOON),
+        *memory.rises,
     ]
     others = (now.torque, residual, peaks.torque, peaks.angle, slow.suspect, slow.jumped, fast.innovation)
-    return jnp.stack(store([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others)]))
+    return barrier.stack([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others)])
 
 
 NAMES = (  # of what the network is shown
     *(f"{kind} {name}" for kind in ("now", "fast", "slow") for name in Signals._fields),
     *(f"peak {name}" for name in Peaks._fields),
     *("residual", "jumps", "jumps one way", "equal readings", "travel", "turns", "alarm's peak", "alarm's age", "side"),
-    *("since any alarm", "since own alarm"),
+    *("since any alarm", "since own alarm", "rises of torque", "rises of angle"),
     *(f"others' {name}" for name in ("torque", "residual", "peak torque", "peak angle", "suspect", "jumped", "innovation")),
 )
 
 
 def logits(weights: DecisionGains, seen: Array) -> Array:
     """Log odds [2, n, ...] of an actuator and of an encoder fault, of what is shown [len(NAMES), n, ...]."""
-    x = (seen - _column(weights.centre, seen)) / _column(weights.width, seen)
-    for matrix, bias in ((weights.first, weights.first_bias), (weights.second, weights.second_bias)):
+    first = weights.first / weights.width[:, None]  # that of what is centred and scaled, without doing that to all numbers
+    first_bias = weights.first_bias - jnp.einsum("k...,kh...->h...", weights.centre, first, precision="highest")
+    x = seen
+    for matrix, bias in ((first, first_bias), (weights.second, weights.second_bias)):
         x = jnp.maximum(_times(matrix, x) + _column(bias, seen), 0.0)
     return _times(weights.last, x) + _column(weights.last_bias, seen)
 

@@ -35,6 +35,7 @@ from jaxftc.robot import dynamics, rigid_body
 DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
+ADAPTIVE = {"rate": 80.0, "speed_weight": 0.13}  # control; where the arm is learned, what the estimate lacks is a fault
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
 
@@ -43,6 +44,9 @@ Level = ArrayLike | tuple[float, ...]  # a number, or one a joint
 
 def default_gains(config: Config, *, noise: Level | None = None, resolution: Level | None = None) -> Gains:
     """One set of gains that serves every scenario; the ARX read-out is the exact model of the nominal arm.
+
+    Where the arm is learned (``config.adaptive``), actuator faults are compensated with a bandwidth of its own,
+    ``control.rate``: there the estimate is hardly the model's error, and the arm stays on its path.
 
     For ``input="torque"`` the read-out is that of an arm with the constant inertia it has in its zero position.
 
@@ -59,6 +63,8 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
     for block, name, spec in specs(config):
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
+    if config.adaptive:
+        values["control"] |= {name: np.full(config.n, value) for name, value in ADAPTIVE.items()}
     for path, factor in _factors(config, values, pace, sigma).items():
         block, name = path.split(".")
         values[block][name] = values[block][name] * factor

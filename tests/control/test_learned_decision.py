@@ -86,26 +86,57 @@ def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.In
 
 
 def test_it_says_what_its_twin_says(config, gains):
-    """Asked every fourth tick; in between the last answer stands, but never one from before the alarm."""
+    """Asked every fourth tick: in between, and in the gaps of an alarm that came back, the last answer stands."""
     x = signals()
     every = learned_decision.period(config)
     assert every == 4
     weights = {f.name: np.asarray(getattr(gains.decision, f.name)) for f in dataclasses.fields(DecisionGains)}
     twin = twins.Twin(N, every * config.dt, np.asarray(gains.observer.jump), np.asarray(gains.diagnosis.alpha_q))
+    speaker, odds = twins.Speaker(N, config.dt, 0.1), np.zeros((2, N))
     inputs = inputs_of(config, x)
-    rule, expected, named, speaks = np.asarray(inputs.verdict), [], None, False
+    rule, expected = np.asarray(inputs.verdict), []
     for k in range(TICKS):
         if k % every == 0:
             shown = twin.look({name: values[k] for name, values in x.items()})
             assert shown.shape[0] == len(learned_decision.NAMES)
             odds = twins.answer(weights, shown)
-            bits = odds > 0
-            named, speaks = bits[0] + 2 * bits[1], bits.any() and (abs(odds) >= 0.1).all()
-        speaks = speaks and (rule[k] > 0).any()
-        expected.append(named if speaks else rule[k])
+        expected.append(speaker.say(rule[k], every * config.dt if k % every == 0 else 0.0, odds))
     got = said(config, gains, inputs)
     np.testing.assert_array_equal(got, expected)
-    assert (got != rule).any(1).mean() > 0.4, "weights that say what the rule says would prove nothing"
+    alarmed = (rule > 0).any(1)
+    assert (got != rule)[alarmed].any(1).mean() > 0.4, "weights that say what the rule says would prove nothing"
+    assert (got > 0)[~alarmed].any(), "nor would alarms that never come back"
+
+
+def test_a_fault_that_comes_and_goes_stays_named_in_its_gaps_and_no_longer(config, gains):
+    """Alarms of 20 ms every 60 ms: the first gap is the rule's, the name stays in later ones, after the last for 1.5."""
+    inputs = inputs_of(config, signals())
+    inputs = jax.tree.map(lambda leaf: jnp.repeat(leaf[7:8], 400, 0), inputs)
+    alarmed = (np.arange(400) % 60 < 20) & (np.arange(400) < 200)
+    inputs = inputs._replace(verdict=jnp.where(alarmed[:, None], jnp.array([1, 0, 0], jnp.int32), 0))
+    up = (said(config, gains, inputs) > 0).any(1)
+    last = 199
+    np.testing.assert_array_equal(np.flatnonzero(~up), [*range(20, 60), *range(last + 1 + 60, 400)])
+
+
+def test_later_answers_are_averaged_and_first_ones_stand(config, gains):
+    """Answers that change sides from one question to the next change the verdict of the first 50 ms only."""
+    inputs = jax.tree.map(lambda leaf: jnp.repeat(leaf[7:8], 400, 0), inputs_of(config, signals()))
+    inputs = inputs._replace(verdict=jnp.full_like(inputs.verdict, 1))
+    one_way = jnp.where((jnp.arange(400) // 4 % 3 == 0)[:, None], 1.0, 0.0)
+    layers = ("first", "first_bias", "second", "second_bias", "last", "centre")
+    weights = gains.replace({f"decision.{name}": 0.0 for name in layers}).decision
+    weights = dataclasses.replace(
+        weights,
+        first=weights.first.at[learned_decision.NAMES.index("now alarmed"), 0].set(1.0),
+        second=weights.second.at[0, 0].set(1.0),
+        last=weights.last.at[0, 0].set(3.0),
+        last_bias=jnp.array([-1.5, 1.5]),
+    )
+    gains = dataclasses.replace(gains, decision=weights)
+    got = said(config, gains, inputs._replace(alarm=inputs.alarm._replace(tau=one_way * jnp.ones((1, N)))))
+    changes = np.flatnonzero((np.diff(got, axis=0) != 0).any(1))
+    assert len(changes) > 4 and changes.max() < 100, changes
 
 
 def test_it_asks_every_tick_of_a_slow_loop(config):
@@ -114,10 +145,13 @@ def test_it_asks_every_tick_of_a_slow_loop(config):
 
 
 def test_it_names_and_never_decides_whether_there_is_an_alarm(config, gains):
+    """A first alarm: where it is up something is said, before and after it nothing."""
     inputs = inputs_of(config, signals())
+    first = jnp.arange(TICKS)[:, None] // 20 == 1
+    inputs = inputs._replace(verdict=jnp.where(first, jnp.maximum(inputs.verdict, jnp.array([0, 1, 0], jnp.int32)), 0))
     for seed in range(4):
         got = said(config, drawn(gains, seed), inputs)
-        np.testing.assert_array_equal((got > 0).any(1), (np.asarray(inputs.verdict) > 0).any(1))
+        np.testing.assert_array_equal((got > 0).any(1), first[:, 0])
 
 
 @pytest.mark.parametrize("why", ["silent", "unsure", "unfamiliar", "no reading", "not asked since the alarm"])
@@ -127,6 +161,7 @@ def test_the_rule_s_verdict_stays(config, gains, why):
         gains = gains.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
     elif why == "unsure":
         gains = gains.replace({"decision.doubt": 50.0})
+        inputs = inputs._replace(verdict=jnp.where(jnp.arange(TICKS)[:, None] // 20 == 1, 1, 0) + 0 * inputs.verdict)
     elif why == "unfamiliar":
         gains = gains.replace({"decision.high": np.where(np.arange(len(learned_decision.NAMES)) == 5, -1.0, 1e6)})
     elif why == "no reading":
@@ -144,9 +179,9 @@ def test_a_memory_in_seconds_is_the_same_at_any_sample_time(config, gains):
     for dt in (0.001, 0.005):
         own = dataclasses.replace(config, dt=dt)
         inputs = jax.tree.map(lambda leaf: leaf[7], inputs_of(own, signals()))
-        state = learned_decision.init(own, gains, jnp.zeros(N))
+        memory, shown = learned_decision.blank(jnp.zeros(N)), None
         for _ in range(round(0.2 / (dt * learned_decision.period(own)))):
-            state, shown = learned_decision.look(own, gains, state, inputs)
+            memory, shown = learned_decision.look(own, gains, memory, inputs)
         found.append(shown)
     np.testing.assert_allclose(*found, atol=2e-3)
 
@@ -255,7 +290,7 @@ def right(rows, column: str) -> float:
 
 
 def test_motion_and_false_alarms_are_the_rule_s(shares):
-    same = ("tracking_max_deg", "effort", "fault_tau_rmse_nm", "false_alarm", "false_ticks", "recovery_s", "healthy_ratio")
+    same = ("tracking_max_deg", "effort", "fault_tau_rmse_nm", "false_alarm", "healthy_ratio")
     for rule, learned in shares.values():
         for name in same:
             np.testing.assert_array_equal(rule[name], learned[name], err_msg=name)
@@ -264,7 +299,7 @@ def test_motion_and_false_alarms_are_the_rule_s(shares):
 
 @pytest.mark.parametrize("when", ["", "_settled"])
 def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(shares, when):
-    """Two hinges, fewer than any arm in training has: not below the rule by more than chance, and above it on ``hard``."""
+    """Two hinges, not those of the training: not below the rule by more than chance, and above it on ``hard``."""
     for preset in ("standard", "uncommon"):
         for part in ("kind_right", "joint_right"):
             rule, learned = (right(rows, f"{part}{when}") for rows in shares[preset])
@@ -276,4 +311,4 @@ def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(shares, wh
 def test_a_kind_of_fault_is_never_called_normal_where_the_rule_sees_it(shares):
     for rule, learned in shares.values():
         for column in ("kind_hat", "kind_hat_settled"):
-            np.testing.assert_array_equal(rule[column] == "normal", learned[column] == "normal")
+            assert not ((learned[column] == "normal") & (rule[column] != "normal")).any()

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-FAST, MEDIUM, SLOW, PEAK, SOON = 0.03, 0.1, 0.3, 0.4, 0.06  # s
+FAST, MEDIUM, SLOW, PEAK, SOON, RETURN = 0.03, 0.1, 0.3, 0.4, 0.06, 0.5  # s
 REMEMBERED = 7
 
 
@@ -19,6 +19,7 @@ class Twin:
         self.n, self.dt, self.jump, self.alpha_q = n, dt, jump, alpha_q
         self.fast, self.slow = np.zeros((2, n, REMEMBERED))
         self.peak, self.side, self.own, self.since = np.zeros((n, 3)), np.zeros(n), np.zeros(n), 0.0
+        self.up, self.rises = np.zeros((2, n)), np.zeros((2, n))
 
     def look(self, x: dict[str, np.ndarray]) -> np.ndarray:
         """What is shown [inputs, n] of the signals of a moment [n] by name."""
@@ -29,6 +30,9 @@ class Twin:
         up = now[:, 3:6].sum(1) > 0
         self.own = np.where(up, self.own + self.dt, 0)
         self.since = self.since + self.dt if up.any() else 0.0
+        up = np.array([now[:, 5], np.maximum(now[:, 3], now[:, 4])])
+        self.rises = math.exp(-self.dt / SLOW) * self.rises + np.maximum(up - self.up, 0)
+        self.up = up
         shown, residual = [], np.array([size(r) for r in x["residual"] / x["threshold"]])
         for j in range(self.n):
             ratio = x["tau"][j] / x["threshold"][j]
@@ -45,6 +49,7 @@ class Twin:
                 abs(self.side[j]),
                 self.since / (self.since + SOON),
                 self.own[j] / (self.own[j] + SOON),
+                *self.rises[:, j],
             ]
             rest = [k for k in range(self.n) if k != j]
             compared = [
@@ -70,6 +75,33 @@ class Twin:
             x["up_tau"][j],
             min(abs(x["residual"][j]) / x["peak"][j], 1) if x["peak"][j] > 0 else 0.0,
         ]
+
+
+class Speaker:
+    """What is made of the answers: averages of a fault's later ones, and its name in the gaps."""
+
+    def __init__(self, n: int, dt: float, doubt: float) -> None:
+        self.dt, self.doubt, self.odds = dt, doubt, np.zeros((2, n))
+        self.speaks, self.alarms, self.k = False, [], -1
+
+    def say(self, rule: np.ndarray, ask: float, odds: np.ndarray) -> np.ndarray:
+        """Verdict [n] of a tick: the rule's [n], s from one question to the next or 0 without one, log odds [2, n]."""
+        self.k += 1
+        if self.alarms and (self.k - self.alarms[-1]) * self.dt > RETURN + 1e-9:
+            self.alarms, self.speaks = [], False
+        alarmed = rule.any()
+        if alarmed:
+            self.alarms.append(self.k)
+        gap = max([b - a - 1 for a, b in zip(self.alarms, self.alarms[1:], strict=False)], default=0)
+        if ask and alarmed:
+            back = 0.4 * ((self.k - self.alarms[0] + 1) * self.dt - 0.05)
+            self.odds += (1.0 if back <= 0 else 1 - math.exp(-ask / back)) * (odds - self.odds)
+            sure = gap > 0 or (abs(self.odds) >= self.doubt).all()
+            self.speaks = bool(sure and (self.odds > 0).any())
+        quiet = self.k - self.alarms[-1] if self.alarms else math.inf
+        if self.speaks and (alarmed or quiet <= 1.5 * gap):
+            return (self.odds[0] > 0) + 2 * (self.odds[1] > 0)
+        return rule
 
 
 def answer(weights: dict[str, np.ndarray], shown: np.ndarray) -> np.ndarray:
