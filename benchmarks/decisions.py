@@ -37,8 +37,8 @@ def arm(name: str) -> jaxftc.Robot:
     return robot.replace(armature=np.maximum(0.7 * robot.inertia_diagonal, 0.1), torque_limit=limit, **friction, **damping)
 
 
-def compare(config: jaxftc.Config, preset: str, seed: int, n: int) -> dict[str, np.ndarray]:
-    """Whether each fault that was detected was named rightly: [2, faults] of the rule and the learned decision."""
+def compare(config: jaxftc.Config, preset: str, seed: int, n: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Kinds of the faults that were detected, and whether each was named rightly: [2, faults], rule and network."""
     keys = jax.random.split(jax.random.key(seed), 4)
     healthy = jaxftc.sample_scenarios(keys[0], HEALTHY, preset, config=config)
     learned = jaxftc.calibrate(config, jaxftc.default_gains(config), healthy, keys[1]).gains
@@ -50,7 +50,7 @@ def compare(config: jaxftc.Config, preset: str, seed: int, n: int) -> dict[str, 
         raise RuntimeError(f"the decision must not move the arm or its alarms, but {', '.join(moved)} differs")
     found = rows[0]["detected"] & (rows[0]["delay_s"] == rows[1]["delay_s"])  # not so where an alarm was up before onset
     names = [f"{column}{when}" for when in ("", "_settled") for column in COLUMNS]
-    return {name: np.stack([one[name][found] for one in rows]).astype(float) for name in names}
+    return rows[0]["fault"][found], {name: np.stack([one[name][found] for one in rows]).astype(float) for name in names}
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -60,6 +60,7 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--presets", nargs="+", default=["standard", "hard", "doubles"])
     parser.add_argument("--seeds", nargs="+", type=int, default=[91])
     parser.add_argument("--adaptive", action="store_true", help="the arm is learned while it runs")
+    parser.add_argument("--kinds", action="store_true", help="each kind of fault as well, once settled")
     parser.add_argument("-n", type=int, default=2048, help="scenarios of each preset and seed")
     given = parser.parse_args(words)
     jaxftc.configure_xla()
@@ -68,7 +69,7 @@ def main(words: Sequence[str] | None = None) -> None:
         config = jaxftc.Config(arm(name), engine="chain", adaptive=given.adaptive, decision="learned")
         for preset in given.presets:
             for seed in given.seeds:
-                found = compare(config, preset, seed, given.n)
+                kinds, found = compare(config, preset, seed, given.n)
                 cells, count = [], 0
                 for pair in found.values():
                     count = len(pair[0])
@@ -76,6 +77,11 @@ def main(words: Sequence[str] | None = None) -> None:
                     cells.append(f"{100 * pair[0].mean():.1f} {gain.value:+.1f} [{gain.low:+.1f}, {gain.high:+.1f}]")
                 said = " | ".join(", ".join(part) for part in (cells[:3], cells[3:]))
                 print(f"{name} {preset} {seed}, {count} faults: {said}", flush=True)
+                for kind in np.unique(kinds) if given.kinds else ():
+                    these = kinds == kind
+                    pairs = [100 * found[f"{column}_settled"][:, these].mean(1) for column in COLUMNS[:2]]
+                    cells = ["{:.0f} to {:.0f}".format(*pair) for pair in pairs]
+                    print(f"  {kind}, {these.sum()}: kind {cells[0]}, joint {cells[1]}", flush=True)
 
 
 if __name__ == "__main__":
