@@ -47,7 +47,7 @@ class Config:
         contact: How many motors may fail at once. Torque alarms of more joints that a force on a
             link explains are a contact; with 0 contacts are not judged, with 1 two faults at once may
             be called one. The cascade's and the Diagnoser's.
-        decision: What names joints and channels once there is an alarm: the rule, Eqs. (17), (18), or a
+        decision: What names joints and channels once there was an alarm: the rule, Eqs. (17), (18), or a
             small network with memory, whose weights are gains; the complete cascade's only.
         order_a: Laguerre functions on the output.
         order_b: Laguerre functions on the input.

@@ -33,7 +33,9 @@ class DecisionGains:
     second_bias: Array = gain("32", "1", None, doc="its bias")
     last: Array = gain("32 2", "1", None, doc="outputs, log odds of an actuator and of an encoder fault")
     last_bias: Array = gain("2", "1", None, doc="their bias")
-    doubt: Array = gain("1", "1", None, low=0.0, doc="log odds within which one is unsure, and the rule's verdict stays")
+    doubt: Array = gain(
+        "1", "1", None, low=0.0, doc="log odds within which one is unsure, and the rule's verdict stays at first"
+    )
 
 
 @functools.cache

@@ -43,7 +43,7 @@ from jaxftc.simulation import closed_loop, noise
 from jaxftc.types import Array
 from tuning.random_arms import random_arm
 
-ARMS = 24  # in training; every other six of them learned while they run
+ARMS = 24  # in training; of each twelve the last six are learned while they run
 UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
 RUNS = {"standard": 512, "hard": 2048, "doubles": 512, "uncommon": 512, "mixed": 768}  # of each arm; mostly single faults
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
@@ -249,7 +249,12 @@ def main(words: Sequence[str] | None = None) -> None:
     """Collect, train, write."""
     parser = argparse.ArgumentParser(prog="python -m tuning.decision", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("decision.toml"), help="file for the weights")
-    parser.add_argument("--arms", type=int, default=ARMS, help="number of random arms")
+    parser.add_argument(
+        "--arms",
+        type=int,
+        default=ARMS,
+        help="number of random arms; of each twelve the last six are learned while they run",
+    )
     parser.add_argument("--steps", type=int, default=STEPS, help="steps of training")
     parser.add_argument("--seed", type=int, default=0, help="of arms, runs and training")
     given = parser.parse_args(words)

@@ -80,7 +80,7 @@ class Campaign(Laws):
     contact: int = 0
     """Judge contacts, where at most so many motors fail at once (1 or 2); 0 judges none. The cascade only."""
     decision: Literal["rule", "learned"] = "rule"
-    """What names joints and channels after an alarm: the paper's rule, or a network with memory. The cascade only."""
+    """What names joints and channels in and between alarms: the paper's rule, or a network with memory. The cascade only."""
     worst: int = 3
     """Scenarios of each scheme whose traces the report shows."""
     cluster: Annotated[str | None, common.left_out("local|HOST:PORT")] = None

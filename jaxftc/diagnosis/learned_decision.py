@@ -6,12 +6,11 @@ A small network looks at that. Its weights are gains, the same for every joint o
 unit: statistics and residuals over their thresholds, the innovation over a jump's size, what the sensor check counts. It
 remembers by leaky means and decaying peaks, whose times are in seconds.
 
-* It names, and never decides whether there is an alarm: without one of the rule nothing is said, with one something is.
-  The one exception are the gaps of a fault that comes and goes. Once an alarm has come back, what was named stays through
-  gaps that are not much longer than those before.
+* It names. Whether there is an alarm is the rule's, except in the gaps of a fault that comes and goes: once an alarm has
+  come back on a joint, what was named stays through gaps that are not much longer than those before, ``LONGEST`` at most.
 * The rule's verdict stays where the network names nothing or is unsure of a joint, where something that it looks at lies
-  outside of what it was trained on, while a reading is absent, and until it has been asked. Of a fault that has come back
-  the network knows more than the rule, so that unsure counts, too.
+  outside of what it was trained on, while a reading is absent, and until it has been asked since the fault began. Of a fault
+  that has come back the network knows more than the rule, so there an unsure answer counts as well.
 * It is asked every ``PERIOD``; in between its last answer stands. The first answers to a fault stand as they are, later
   ones are averaged: what wavers then is the moment, not the fault.
 
@@ -38,9 +37,14 @@ from jaxftc.types import Array
 
 PERIOD = 0.004  # s between two questions, at least a tick
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
-RETURN = 0.5  # s in which an alarm that comes back is of the same fault
-HELD = 1.5  # times the longest gap so far, for which a fault that comes and goes stays named
-EARLY, AVERAGED = 0.05, 0.4  # s without an average of answers, and the share of the time since then that it goes back
+RETURN = 0.3  # s in which an alarm that comes back on a joint is of the same fault
+HELD, LONGEST = 1.5, 0.15  # a fault that comes and goes stays named for so many times its longest gap, and s, at most
+EARLY, AVERAGED, BACK = (
+    0.05,
+    0.4,
+    0.1,
+)  # s of answers that stand as they are; averages go back this share of the later time, s
+ODDS = 6.0  # log odds beyond which all are alike in an average
 SOON = 0.06  # s, at which a time counts half
 MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
 
@@ -65,8 +69,8 @@ class Peaks(NamedTuple):
     angle: Array
 
 
-class Rises(NamedTuple):
-    """Of the two alarms of a joint; all [n, ...]."""
+class PerAlarm(NamedTuple):
+    """A number for each of the two alarms of a joint; all [n, ...]."""
 
     torque: Array
     angle: Array
@@ -79,8 +83,8 @@ class Memory(NamedTuple):
     slow: Signals
     side: Array  # leaky mean of the torque statistic with its sign
     peak: Peaks
-    up: Rises  # 1 where that alarm was up when last asked
-    rises: Rises  # how often it rose, leaky
+    up: PerAlarm  # 1 where that alarm was up when last asked
+    rises: PerAlarm  # how often it rose, leaky
     since: Array  # s since any joint was first in alarm
     own: Array  # s since this one was
     tau: Array  # log odds of an actuator fault, averaged
@@ -90,12 +94,13 @@ class Memory(NamedTuple):
 class State(NamedTuple):
     """All floats."""
 
-    memory: Array  # [rows, n, ...] a Memory in one array, which a tick from Python passes on sooner than many
+    memory: Array  # [rows, n, ...] a Memory in one array: a tick from Python passes one faster than many
     speaks: Array  # [n, ...] 1 where the answer counts, the same for all joints
     wait: Array  # [n, ...] ticks until the next question
     age: Array  # [n, ...] ticks since the first alarm of this fault
     quiet: Array  # [n, ...] ticks since the last one
     gap: Array  # [n, ...] ticks, longest time between two of them
+    joints: Array  # [n, ...] 1 where the joint has been in alarm
 
 
 class Inputs(NamedTuple):
@@ -115,7 +120,7 @@ class Inputs(NamedTuple):
 def blank(q: Array) -> Memory:
     """Nothing remembered, of angles [n, ...]."""
     zero = jnp.zeros_like(q)
-    signals, rises = Signals(*[zero] * len(Signals._fields)), Rises(zero, zero)
+    signals, rises = Signals(*[zero] * len(Signals._fields)), PerAlarm(zero, zero)
     return Memory(signals, signals, zero, Peaks(zero, zero, zero), rises, rises, zero, zero, zero, zero)
 
 
@@ -123,7 +128,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
     """Nothing remembered, nothing named."""
     del gains
     zero = jnp.zeros_like(q)
-    return State(_packed(blank(q)), zero, zero, zero, quiet=zero + _forgotten(config), gap=zero)
+    return State(_packed(blank(q)), zero, zero, zero, quiet=zero + _forgotten(config), gap=zero, joints=zero)
 
 
 def _packed(memory: Memory) -> Array:
@@ -139,29 +144,36 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     """State and verdict [n, ...] int32 of this tick. Comparisons: no gradient passes."""
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
-    state = _count(config, state, alarmed)
+    state = _count(config, state, inputs.verdict > 0)
     due = (state.wait <= 0).any()
     memory, speaks = jax.lax.cond(due, lambda: _ask(config, gains, state, inputs), lambda: (state.memory, state.speaks))
     wait = jnp.where(due, period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=jnp.where(alarmed, speaks, state.speaks), wait=wait)
-    tau, q = memory[-2:]
-    held = alarmed | (state.quiet <= HELD * state.gap).all(0)
+    tau, q = memory[-2:]  # the last two of Memory
+    held = alarmed | (state.quiet <= jnp.minimum(HELD * state.gap, LONGEST / config.dt)).all(0)
     heard = held & (state.speaks > 0) & ~inputs.absent.any(0)
     named = (tau > 0) + 2 * (q > 0)
     return state, jnp.where(heard, named.astype(inputs.verdict.dtype), inputs.verdict)
 
 
-def _count(config: Config, state: State, alarmed: Array) -> State:
-    """The times of this fault's alarms; ``RETURN`` after the last one it is forgotten."""
-    last = _forgotten(config)
-    back = alarmed & (state.quiet < last)
+def _count(config: Config, state: State, joints: Array) -> State:
+    """The times of this fault's alarms, of the joints [n, ...] bool that are in alarm.
+
+    ``RETURN`` after its last alarm a fault is forgotten, or sooner if another joint's rises.
+    """
+    last, alarmed = _forgotten(config), joints.any(0)
+    another = alarmed & (state.quiet > 0).all(0) & ~(joints & (state.joints > 0)).any(0)
     quiet = jnp.where(alarmed, 0.0, jnp.minimum(state.quiet + 1, last))
-    recent = quiet < last
+    known = (quiet < last) & (state.quiet < last) & ~another
+    over = alarmed & (state.quiet >= config.release_ticks)
+    gap = jnp.where(over, jnp.maximum(state.gap, state.quiet), state.gap)
+    seen = jnp.where(known, state.joints, 0.0)
     return state._replace(
-        age=jnp.where(recent, state.age + 1, 0.0),
+        age=jnp.where(known, state.age + 1, 0.0),
         quiet=quiet,
-        gap=jnp.where(back, jnp.maximum(state.gap, state.quiet), jnp.where(recent, state.gap, 0.0)),
-        speaks=jnp.where(recent, state.speaks, 0.0),
+        gap=jnp.where(known, gap, 0.0),
+        speaks=jnp.where(known, state.speaks, 0.0),
+        joints=jnp.maximum(seen, joints.astype(seen.dtype)),
     )
 
 
@@ -171,15 +183,16 @@ def _forgotten(config: Config) -> float:
 
 
 def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[Array, Array]:
-    """Memory and whether the answer counts, while there is an alarm."""
+    """Memory with this moment and its answer in it, and whether the answer counts if there is an alarm."""
     memory, seen = look(config, gains, _unpacked(state), inputs)
-    step = period(config) * config.dt
-    back = jnp.maximum(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * step)  # s; the first answers stand as they are
+    between = period(config) * config.dt
+    back = jnp.clip(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * between, BACK)  # s
     old = jnp.stack([memory.tau, memory.q])
-    odds = old - jnp.expm1(-step / back) * (logits(gains.decision, seen) - old)
+    odds = old - jnp.expm1(-between / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
+    known = familiar(gains.decision, seen) & ~inputs.absent.any(0)
     sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap > 0).all(0)
-    speaks = sure & familiar(gains.decision, seen) & (odds > 0).any((0, 1))
-    tau, q = jnp.where((inputs.verdict > 0).any(0), odds, old)
+    speaks = known & sure & (odds > 0).any((0, 1))
+    tau, q = jnp.where(known & (inputs.verdict > 0).any(0), odds, old)
     return _packed(memory._replace(tau=tau, q=q)), jnp.broadcast_to(speaks, state.speaks.shape).astype(state.speaks.dtype)
 
 
@@ -207,8 +220,8 @@ def look(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[
     decay = math.exp(-dt / PEAK)
     peaks = Peaks(*(jnp.maximum(getattr(now, name), decay * getattr(memory.peak, name)) for name in Peaks._fields))
     side = _leaky(memory.side, jnp.sign(signed) * now.torque, dt / MEDIUM)
-    up = Rises(now.alarmed, jnp.maximum(now.jumped, now.suspect))
-    rises = Rises(
+    up = PerAlarm(now.alarmed, jnp.maximum(now.jumped, now.suspect))
+    rises = PerAlarm(
         *(
             math.exp(-dt / SLOW) * n + jnp.maximum(x - old, 0.0)
             for n, x, old in zip(memory.rises, up, memory.up, strict=True)

@@ -35,7 +35,10 @@ from jaxftc.robot import dynamics, rigid_body
 DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
-ADAPTIVE = {"rate": 80.0, "speed_weight": 0.13}  # control; where the arm is learned, what the estimate lacks is a fault
+ADAPTIVE = {
+    "rate": 80.0,
+    "speed_weight": 0.13,
+}  # of control, where the arm is learned: what psi has yet to take up is a fault
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
 
@@ -63,7 +66,7 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
     for block, name, spec in specs(config):
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
-    if config.adaptive:
+    if config.adaptive and config.observer == "ts" and config.control == "afesmc":
         values["control"] |= {name: np.full(config.n, value) for name, value in ADAPTIVE.items()}
     for path, factor in _factors(config, values, pace, sigma).items():
         block, name = path.split(".")

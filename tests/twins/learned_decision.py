@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-FAST, MEDIUM, SLOW, PEAK, SOON, RETURN = 0.03, 0.1, 0.3, 0.4, 0.06, 0.5  # s
+FAST, MEDIUM, SLOW, PEAK, SOON, RETURN = 0.03, 0.1, 0.3, 0.4, 0.06, 0.3  # s
 REMEMBERED = 7
 
 
@@ -80,26 +80,32 @@ class Twin:
 class Speaker:
     """What is made of the answers: averages of a fault's later ones, and its name in the gaps."""
 
-    def __init__(self, n: int, dt: float, doubt: float) -> None:
-        self.dt, self.doubt, self.odds = dt, doubt, np.zeros((2, n))
-        self.speaks, self.alarms, self.k = False, [], -1
+    def __init__(self, n: int, dt: float, doubt: float, release: int) -> None:
+        self.dt, self.doubt, self.release, self.odds = dt, doubt, release, np.zeros((2, n))
+        self.k, self.speaks = -1, False
+        self.alarms: list[int] = []
+        self.joints: set[int] = set()
 
     def say(self, rule: np.ndarray, ask: float, odds: np.ndarray) -> np.ndarray:
         """Verdict [n] of a tick: the rule's [n], s from one question to the next or 0 without one, log odds [2, n]."""
         self.k += 1
-        if self.alarms and (self.k - self.alarms[-1]) * self.dt > RETURN + 1e-9:
-            self.alarms, self.speaks = [], False
-        alarmed = rule.any()
-        if alarmed:
+        joints = set(np.flatnonzero(rule))
+        quiet = self.k - self.alarms[-1] - 1 if self.alarms else 0  # ticks before this one
+        late = quiet * self.dt > RETURN + 1e-9 or ((quiet + 1) * self.dt > RETURN + 1e-9 and not joints)
+        if late or (joints and quiet and not joints & self.joints):
+            self.alarms, self.joints, self.speaks = [], set(), False
+        if joints:
             self.alarms.append(self.k)
-        gap = max([b - a - 1 for a, b in zip(self.alarms, self.alarms[1:], strict=False)], default=0)
-        if ask and alarmed:
-            back = 0.4 * ((self.k - self.alarms[0] + 1) * self.dt - 0.05)
-            self.odds += (1.0 if back <= 0 else 1 - math.exp(-ask / back)) * (odds - self.odds)
+            self.joints |= joints
+        gaps = [b - a - 1 for a, b in zip(self.alarms, self.alarms[1:], strict=False)]
+        gap = max([g for g in gaps if g >= self.release], default=0)
+        if ask and joints:
+            back = min(0.4 * ((self.k - self.alarms[0]) * self.dt - 0.05), 0.1)
+            self.odds += (1.0 if back <= 0 else 1 - math.exp(-ask / back)) * (np.clip(odds, -6, 6) - self.odds)
             sure = gap > 0 or (abs(self.odds) >= self.doubt).all()
             self.speaks = bool(sure and (self.odds > 0).any())
         quiet = self.k - self.alarms[-1] if self.alarms else math.inf
-        if self.speaks and (alarmed or quiet <= 1.5 * gap):
+        if self.speaks and (joints or quiet <= min(1.5 * gap, 0.15 / self.dt)):
             return (self.odds[0] > 0) + 2 * (self.odds[1] > 0)
         return rule
 
