@@ -35,10 +35,8 @@ from jaxftc.robot import dynamics, rigid_body
 DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
-ADAPTIVE = {
-    "rate": 80.0,
-    "speed_weight": 0.13,
-}  # of control, where the arm is learned: what psi has yet to take up is a fault
+# Of control, where the arm is learned: what psi has yet to take up is a fault then, and hardly the model's error.
+ADAPTIVE = {"rate": 80.0, "speed_weight": 0.13}
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
 
