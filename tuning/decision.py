@@ -121,6 +121,7 @@ def _program(config: jaxftc.Config) -> Any:
     every = learned_decision.period(config)
 
     def run(gains: jaxftc.Gains, scenarios: Scenario, key: Array) -> tuple[Array, Array, online.Truth]:
+        """Runs of a batch, asked every ``every`` ticks."""
         gains, stream = threshold.known_constant(gains), noise.streams(key, scenarios.id)
         loop = closed_loop.start(config, gains, scenarios)
         memory = learned_decision.blank(loop.q)

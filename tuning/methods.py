@@ -147,6 +147,7 @@ class _Sample:
         return self.search.theta
 
     def round(self, index: int) -> tuple[np.ndarray, float]:
+        """Some generations: means of the terms of the last one's best candidate, and no norm of a gradient."""
         means, losses = np.zeros((0, 0)), np.zeros(0)
         for step in range(index * self.steps, (index + 1) * self.steps):
             scenarios, start = self.batches.take(step, self.settings.anneal[1])

@@ -29,6 +29,7 @@ def told(
     begun, through, said = math.nan, 0, False
 
     def done(count: int) -> None:
+        """So many runs more are done."""
         nonlocal begun, through, said
         update(count)
         now = time.perf_counter()

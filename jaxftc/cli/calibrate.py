@@ -168,9 +168,9 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     ]
     if promise.method == "tail":
         lines.append(
-            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, and end at "
-            f"{FARTHEST:g} times the largest seen. There the tail expects {promise.fitted_per_hour:.3g} alarms "
-            "an hour; record more healthy motion."
+            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, to no more "
+            f"than {FARTHEST:g} times the largest seen. At them the tail expects {promise.fitted_per_hour:.3g} alarms an "
+            "hour; record more healthy motion."
         )
     else:
         lines.append("The thresholds are set by counting runs.")

@@ -39,11 +39,8 @@ PERIOD = 0.004  # s between two questions, at least a tick
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
 RETURN = 0.3  # s in which an alarm that comes back on a joint is of the same fault
 HELD, LONGEST = 1.5, 0.15  # a fault that comes and goes stays named for so many times its longest gap, and s, at most
-EARLY, AVERAGED, BACK = (
-    0.05,
-    0.4,
-    0.1,
-)  # s of answers that stand as they are; averages go back this share of the later time, s
+EARLY = 0.05  # s after the first alarm in which answers stand as they are
+AVERAGED, BACK = 0.4, 0.1  # later ones are averaged over this share of the time since then, and s, at most
 ODDS = 6.0  # log odds beyond which all are alike in an average
 SOON = 0.06  # s, at which a time counts half
 MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
@@ -100,7 +97,7 @@ class State(NamedTuple):
     age: Array  # [n, ...] ticks since the first alarm of this fault
     quiet: Array  # [n, ...] ticks since the last one
     gap: Array  # [n, ...] ticks, longest time between two of them
-    joints: Array  # [n, ...] 1 where the joint has been in alarm
+    joints: Array  # [n, ...] 1 where the joint has been in alarm in this fault
 
 
 class Inputs(NamedTuple):

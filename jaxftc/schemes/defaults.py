@@ -46,7 +46,7 @@ Level = ArrayLike | tuple[float, ...]  # a number, or one a joint
 def default_gains(config: Config, *, noise: Level | None = None, resolution: Level | None = None) -> Gains:
     """One set of gains that serves every scenario; the ARX read-out is the exact model of the nominal arm.
 
-    Where the arm is learned (``config.adaptive``), actuator faults are compensated with a bandwidth of its own,
+    Where the arm is learned by the complete cascade, actuator faults are compensated with a bandwidth of its own,
     ``control.rate``: there the estimate is hardly the model's error, and the arm stays on its path.
 
     For ``input="torque"`` the read-out is that of an arm with the constant inertia it has in its zero position.
