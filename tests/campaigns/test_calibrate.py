@@ -147,6 +147,7 @@ def logged(tmp_path_factory):
     return config, trace, path
 
 
+@pytest.mark.thorough
 def test_a_log_is_diagnosed_as_the_arm_was(logged):
     """The nominal arm leaves no torque over, whoever drives it."""
     config, _, path = logged
@@ -155,6 +156,7 @@ def test_a_log_is_diagnosed_as_the_arm_was(logged):
     assert np.abs(np.asarray(out.statistic_tau)[600:]).max() < 0.5
 
 
+@pytest.mark.thorough
 def test_a_log_of_another_rate_is_brought_to_the_sample_time(logged, tmp_path):
     config, _, path = logged
     whole = logs.read(path, config)

@@ -162,6 +162,7 @@ def test_the_summary_counts_what_the_rows_say(folder):
     assert sum(part["n_faults"] for part in printed["by_kind"].values()) == faulty.sum()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("option", [("--decision", "learned"), ("--contact", "1")], ids=["decision", "contact"])
 def test_a_replay_has_the_campaign_s_own_decision(option, run, tmp_path):
     run("campaign", "-n", 3, "--worst", 0, "--out", tmp_path / "run", *option, *SHORT)
@@ -353,6 +354,7 @@ def test_the_best_of_each_column_carries_a_star():
     assert "*" not in one[1], "a calibrated share of false alarms is no merit"
 
 
+@pytest.mark.thorough
 def test_schemes_run_on_the_same_scenarios_at_the_same_false_alarms(run, tmp_path):
     program = with_job("HEALTHY = 300")
     command = ["campaign", "-n", 60, "--compare", "momentum,computed_torque", "--false-alarms", 0.05, "--out", tmp_path]
@@ -375,6 +377,7 @@ def test_schemes_run_on_the_same_scenarios_at_the_same_false_alarms(run, tmp_pat
     assert before == {path: path.read_bytes() for path in tmp_path.rglob("chunk-*")}
 
 
+@pytest.mark.thorough
 def test_calibrate_writes_gains_that_a_campaign_takes(run, refused, tmp_path):
     command = ["calibrate", "--scheme", "momentum", "--runs", 300, "--false-alarms", 0.05, "--out", tmp_path, "--json"]
     printed = json.loads(run(*command, *SHORT).stdout)

@@ -79,6 +79,7 @@ class Threads:
         return self._pool.submit(self._runs, fun, *args)
 
 
+@pytest.mark.thorough
 def test_workers_write_what_one_process_does(job, begin, expected, tmp_path):
     told, folder = [], begin(tmp_path / "run")
     progress = complete(folder, job, Threads(), told.append)

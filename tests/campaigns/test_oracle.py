@@ -68,6 +68,7 @@ def rows():
     return columns(config, scenarios, scores), scores, gains, config, scenarios
 
 
+@pytest.mark.thorough
 def test_an_oracle_names_no_healthy_joint_and_sees_no_less_with_lower_thresholds(rows):
     table, scores, gains, config, scenarios = rows
     wanted = np.asarray((scenarios.fault_tau.kind > 0) + 2 * (scenarios.fault_q.kind > 0)).T

@@ -20,6 +20,8 @@ from jaxftc.report import figures
 from jaxftc.report.figures import MOST, thin, trace_page, windows
 from jaxftc.report.page import embed, notes, page, table
 
+pytestmark = pytest.mark.thorough  # they are drawn in a browser
+
 SCREENS = {"desktop": (1200, 900), "phone": (390, 844)}
 
 

@@ -18,6 +18,8 @@ from jaxftc.scenarios.contact import no_contact
 from jaxftc.scenarios.faults import Actuator, Sensor
 from tests.arms import three_hinges
 
+pytestmark = pytest.mark.thorough  # half a minute to compile
+
 TICKS, N = 200, three_hinges().n
 
 

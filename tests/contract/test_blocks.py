@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import chex
@@ -120,10 +120,15 @@ REST = [block for block in PAIRS + VARIANTS if block.name not in {few.name for f
 REST += [pair("eso_printed", "esmc"), pair("ts", "afesmc", adaptive=True), pair("ts", "afesmc", decision="learned")]
 
 
-def each(*blocks: Block, slow: list[Block] = ()):
-    cases = [pytest.param(block, id=block.name) for block in blocks]
+# What has to be compiled: the filter takes a minute, and the pair of everything has the stages of the others.
+QUICK = [few for few in FEW if few.name in (PAIRS[8].name, "momentum", "computed_torque")]
+LONGER = [few for few in FEW if few not in QUICK]
+
+
+def each(*blocks: Block, thorough: Sequence[Block] = (), slow: Sequence[Block] = ()):
+    marked = ((blocks, ()), (thorough, pytest.mark.thorough), (slow, pytest.mark.slow))
     return pytest.mark.parametrize(
-        "block", cases + [pytest.param(block, id=block.name, marks=pytest.mark.slow) for block in slow]
+        "block", [pytest.param(block, id=block.name, marks=marks) for some, marks in marked for block in some]
     )
 
 
@@ -180,7 +185,7 @@ def test_state_comes_out_as_it_went_in(block, axes, dtype):
     assert {leaf.shape for leaf in jax.tree.leaves(info)} <= {(N, *axes), axes}
 
 
-@each(*SMALL, *FEW, slow=REST)
+@each(*SMALL, *QUICK, thorough=LONGER, slow=REST)
 def test_one_trace_and_the_same_numbers_as_without_jit(block):
     gains = default_gains(block)
     chex.clear_trace_counter()  # it takes functions with one source for the same
@@ -196,11 +201,7 @@ def test_one_trace_and_the_same_numbers_as_without_jit(block):
     chex.assert_tree_all_finite((state, without_thresholds(info)))
 
 
-# The filter's gradient and its vmap take a minute to compile; the pair of everything has the stages of the others.
-QUICK = [few for few in FEW if few.name in (PAIRS[8].name, "momentum", "computed_torque")]
-
-
-@each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])
+@each(*SMALL, *QUICK, slow=[*LONGER, *REST])
 def test_trailing_axes_are_vmap_are_a_loop(block):
     gains, step = default_gains(block), jax.jit(block.step)
     mapped = jax.jit(jax.vmap(block.step, in_axes=(None, -1, -1), out_axes=-1))
@@ -217,7 +218,7 @@ def test_trailing_axes_are_vmap_are_a_loop(block):
             assert_close((alone[k], own), jax.tree.map(lambda leaf, k=k: leaf[..., k], (together, info)))
 
 
-@each(*SMALL, *QUICK, slow=[*(few for few in FEW if few not in QUICK), *REST])
+@each(*SMALL, QUICK[-1], thorough=QUICK[:-1], slow=[*LONGER, *REST])  # test_gradients.py has the pair of everything
 def test_gradients_are_finite(block):
     """With respect to gains, state and every signal, after ticks that leave the state where it usually is."""
     gains = default_gains(block)

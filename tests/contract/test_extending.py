@@ -46,6 +46,7 @@ def insert(path, after, line):
     path.write_text(text.replace(after, f"{after}\n{line}"))
 
 
+@pytest.mark.thorough
 def test_a_scheme_is_a_module_and_a_line(house):
     """Gravity compensation and a damper: it runs, tunes its own gain, and campaigns know its name."""
     copy, run = house
@@ -84,6 +85,7 @@ print(*tunable(config), bool(jnp.allclose(out.tau, held, atol=1e-5)))
     assert run(script) == ["baseline.kd", "True"]
 
 
+@pytest.mark.thorough
 def test_an_observer_stage_is_a_module_and_a_line(house):
     """A share of psi that follows the change of the innovation."""
     copy, run = house
@@ -127,6 +129,7 @@ print(bool((e > 0).all()), bool(jnp.allclose(after.psi - after.observer.fuzzy.ps
     assert run(script) == ["True", "True"]
 
 
+@pytest.mark.thorough
 def test_a_kind_of_fault_is_a_line_in_two_tables_of_one_file(house):
     """A torque whose sign is wrong: presets draw it, and the plant gets it. What others draw does not change."""
     copy, run = house

@@ -180,6 +180,7 @@ def test_reverse_slope_in_each_gain_is_that_of_finite_differences(case, name):
     check_vjp(value, backward, (np.zeros(slope.size),), **tolerance(slope))
 
 
+@pytest.mark.thorough
 @each_gain(slow=("chain-pi-smc", "chain-eso-esmc", "mjx-pi-smc", "mjx-ts-afesmc", "adaptive"))
 def test_forward_slope_in_each_gain_is_that_of_finite_differences(case, name):
     run, scenario = programs(case), faulty(case.config())
@@ -259,6 +260,7 @@ def tick_slopes(sign: str):
     return jax.jit(jax.grad(cost, argnums=(0, 1, 2, 3)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("sign", ["smooth", pytest.param("hard", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kink", KINKS)
 def test_slopes_of_a_tick_are_finite_at_its_kinks(sign, kink):

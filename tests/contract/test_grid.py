@@ -198,6 +198,7 @@ def test_a_run_counts_the_same_in_batches_of_any_size():
     np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.thorough
 @through([FIT[0]], [Row(2, 50, 8), Row(3, 200, 16, "momentum")])
 def test_two_devices_give_what_one_gives(row, tmp_path):
     """A campaign and thresholds to the bit; what is spread over devices, but for rounding. By default the campaign alone."""

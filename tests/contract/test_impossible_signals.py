@@ -198,7 +198,9 @@ def survives(scheme, robot, scenarios, ticks):
     assert np.rad2deg(np.abs(end - np.asarray(q))).max() < 0.5
 
 
-@pytest.mark.parametrize("scheme", ["cascade", "momentum", "ekf", "computed_torque"])
+@pytest.mark.parametrize(
+    "scheme", ["cascade", "momentum", pytest.param("ekf", marks=pytest.mark.thorough), "computed_torque"]
+)
 def test_every_scheme_lives_through_everything_at_once(scheme):
     survives(scheme, two_hinges(), 64, 2500)
 

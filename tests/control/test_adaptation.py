@@ -233,6 +233,7 @@ def test_a_sudden_fault_is_not_learned_away(config, off, gains, fault):
     assert np.abs(arm.load[-1] - arm.load[490]) < 0.05, "the load is that of before"
 
 
+@pytest.mark.thorough
 def test_it_follows_from_the_log_alone(config, gains):
     """Reference, readings and torques say all: replayed without plant and fault, the tick says the same."""
     scenario = jaxftc.paper_scenario("actuator", config)
@@ -252,6 +253,7 @@ def test_it_follows_from_the_log_alone(config, gains):
 # Around it.
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_compiled_tick_learns_the_same(config, gains, backend):
     tick = jaxftc.Tick(config, gains, backend=backend)

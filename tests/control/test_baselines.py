@@ -27,6 +27,9 @@ from tuning import transform
 BASELINES = [scheme for scheme in SCHEMES if scheme != "cascade"]
 N, RATE = 6, 120.0
 SMALL = jaxftc.Config(three_hinges(), engine="chain")
+FILTER_THOROUGH = pytest.mark.parametrize(
+    "scheme", [pytest.param(name, marks=[pytest.mark.thorough] * (name == "ekf")) for name in BASELINES]
+)
 
 
 def hinge(damping: float = 0.0) -> jaxftc.Robot:
@@ -234,6 +237,7 @@ def test_the_filters_jacobian_is_that_of_its_mean():
     )
 
 
+@pytest.mark.thorough
 def test_the_filters_covariance_stays_positive_in_single_precision(paper_arm):
     """Over a second of the paper's motion and faults, relative to the standard deviations."""
     with jax.enable_x64(False):
@@ -280,7 +284,7 @@ def dropped():
     return one
 
 
-@pytest.mark.parametrize("scheme", BASELINES)
+@FILTER_THOROUGH
 def test_missing_readings_are_held_on_prediction(dropped, scheme):
     trace = dropped(scheme)
     assert np.isnan(trace.y[20:40]).all() and np.isfinite(trace.y[40:]).all()
@@ -298,7 +302,7 @@ def test_a_reading_that_comes_back_is_no_momentum(dropped):
     assert (kick[39] < 3 * kick[:39].max(0)).all()
 
 
-@pytest.mark.parametrize("scheme", BASELINES)
+@FILTER_THOROUGH
 def test_a_joint_without_a_reference_holds_its_angle(scheme):
     config = of(SMALL, scheme)
     gains, q = jaxftc.default_gains(config), jnp.linspace(-1.0, 1.0, config.n)

@@ -135,6 +135,7 @@ def runs(small, gains):
     return len(pushed), scenarios, jax.tree.map(np.asarray, trace)
 
 
+@pytest.mark.thorough
 def test_most_forces_on_the_last_link_are_told(small, runs):
     count, _, trace = runs
     verdict, force = trace.out.verdict[:count], trace.out.force[:count]
@@ -236,6 +237,7 @@ def test_the_torque_of_a_contact_has_the_slopes_of_differences():
 # Beside somebody else's controller.
 
 
+@pytest.mark.thorough
 def test_the_diagnoser_tells_a_force_on_a_link(small):
     """Signals of an arm that moves with no controller's help: readings, and torques less those of a force or of a motor."""
     config, t = dataclasses.replace(small, dt=0.005, t_final=0.4), 0.005 * np.arange(400)[:, None]

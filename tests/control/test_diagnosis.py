@@ -232,12 +232,15 @@ COARSE = [(0, 0.1), (2, 0.1), (4, 0.1), (4, 0.2), (4, 0.35), (1, 0.5), (2, 0.5),
 ROBUST = 8 + len(COARSE)  # robust_cases
 
 
+@pytest.mark.thorough
 def test_slow_encoder_faults_in_the_closed_loop(paper_arm):
     """Drift slow and fast, freeze, scale, noise on joint 3: called a sensor fault of joint 3 and of no other."""
     config = jaxftc.Config(paper_arm, engine="chain")
     cases = [(Sensor.DRIFT, 0.15), (Sensor.DRIFT, -0.8), (Sensor.FREEZE, 0.0), (Sensor.SCALE, 0.05), (Sensor.NOISE, 60.0)]
-    padded = (cases * 4)[:ROBUST]  # a batch of the same size as in the test below: one program
-    batch = stack([encoder_fault(config, kind, size) for kind, size in padded])
+    padded = (cases * 4)[: ROBUST - 1]
+    rounded = paper_scenario("healthy", config).with_encoder_rounding(1, np.deg2rad(COARSE[0][1]), 0.2)
+    # A batch of the same size and structure as in the test below: one program.
+    batch = stack([*(encoder_fault(config, kind, size) for kind, size in padded), rounded])
     gains = jaxftc.default_gains(config)
     tight = gains.replace({"diagnosis.alpha_q": np.deg2rad(0.02)})
     verdict = metrics.columns(jaxftc.simulate(config, tight, batch, jax.random.key(0)))["verdict"]
@@ -280,6 +283,7 @@ def robust_cases(config):
     ]
 
 
+@pytest.mark.thorough
 def test_nothing_runs_away_and_what_has_passed_leaves_no_trace(paper_arm):
     """The observer must not take its own corrections for encoder faults, whatever the encoder or the model does."""
     config = jaxftc.Config(paper_arm, engine="chain")

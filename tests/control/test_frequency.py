@@ -46,7 +46,7 @@ def amplitude(signal, frequency, dt):
     return 2 * (signal * turns[:, None])[last].mean(0)
 
 
-@pytest.mark.parametrize("frequency", [10.0, 40.0])
+@pytest.mark.parametrize("frequency", [pytest.param(10.0, marks=pytest.mark.thorough), 40.0])
 def test_responses_are_those_of_the_recursion(pi, frequency):
     config, gains = pi
     response = frequency_response(config, gains, [frequency])

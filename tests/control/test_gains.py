@@ -77,6 +77,7 @@ def test_it_composes_with_jit_grad_and_vmap(gains):
     np.testing.assert_array_equal(many, [21.0, 42.0])
 
 
+@pytest.mark.thorough
 def test_gains_may_have_the_scenarios_axis():
     """Gains of two scenarios at once are those of one after the other."""
     config = jaxftc.Config(two_hinges(), engine="chain", duration=0.02)

@@ -1,6 +1,7 @@
 """The learned decision: its twin, what it never does, its weights as gains, and an arm that it has not seen."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -233,6 +234,7 @@ def test_slopes_in_the_weights_are_those_of_finite_differences(config, gains):
     check_grads(cost, (layers, shown), order=1, atol=1e-5, rtol=1e-5, eps=1e-6)
 
 
+@pytest.mark.thorough
 def test_the_loop_has_finite_slopes_and_hears_nothing_of_it():
     """Torques are those of the rule to the last bit; the gradient of a run is finite, and 0 in the weights."""
     config = jaxftc.Config(two_hinges(), engine="chain", decision="learned", duration=0.16)
@@ -303,49 +305,54 @@ def test_products_of_matrices_become_products_of_numbers():
 
 # An arm that the shipped weights have not seen.
 
-FAULTS = 1024
+RUNS = 1024
+PRESETS = pytest.mark.parametrize("preset", ["standard", "hard", "uncommon"])
 
 
-@pytest.fixture(scope="module")
-def shares():
-    """Rows [rule, learned] by preset. Weights that name nothing are the rule, so one program runs both."""
+@functools.cache
+def rule_and_learned(preset: str) -> list[dict[str, np.ndarray]]:
+    """Rows of the rule and of the learned decision. Weights that name nothing are the rule, so one program runs both."""
     with jax.enable_x64(False):
         config = jaxftc.Config(two_hinges(), engine="chain", decision="learned")
-        found = {}
-        for preset in ("standard", "hard", "uncommon"):
-            runs, healthy = (
-                jaxftc.sample_scenarios(jax.random.key(key), n, preset, config=config) for key, n in ((3, FAULTS), (1, 700))
-            )
-            learned = jaxftc.calibrate(config, jaxftc.default_gains(config), healthy, jax.random.key(2)).gains
-            rule = learned.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
-            found[preset] = [jaxftc.campaign(config, gains, runs, jax.random.key(4)) for gains in (rule, learned)]
-        return found
+        runs, healthy = (jaxftc.sample_scenarios(jax.random.key(key), RUNS, preset, config=config) for key in (3, 1))
+        learned = jaxftc.calibrate(config, jaxftc.default_gains(config), healthy, jax.random.key(2)).gains
+        rule = learned.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
+        return [jaxftc.campaign(config, gains, runs, jax.random.key(4)) for gains in (rule, learned)]
 
 
 def right(rows, column: str) -> float:
     return float(rows[column][rows["detected"]].mean())
 
 
-def test_motion_and_false_alarms_are_the_rule_s(shares):
-    same = ("tracking_max_deg", "effort", "fault_tau_rmse_nm", "false_alarm", "healthy_ratio")
-    for rule, learned in shares.values():
-        for name in same:
-            np.testing.assert_array_equal(rule[name], learned[name], err_msg=name)
-        assert (rule["delay_s"] == learned["delay_s"])[rule["detected"]].mean() > 0.99, "but for alarms up before onset"
+@pytest.mark.thorough
+@PRESETS
+def test_motion_and_false_alarms_are_the_rule_s(preset):
+    rule, learned = rule_and_learned(preset)
+    for name in ("tracking_max_deg", "effort", "fault_tau_rmse_nm", "false_alarm", "healthy_ratio"):
+        np.testing.assert_array_equal(rule[name], learned[name], err_msg=name)
+    assert (rule["delay_s"] == learned["delay_s"])[rule["detected"]].mean() > 0.99, "but for alarms up before onset"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("when", ["", "_settled"])
-def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(shares, when):
-    """Two hinges, not those of the training: not below the rule by more than chance, and above it on ``hard``."""
-    for preset in ("standard", "uncommon"):
-        for part in ("kind_right", "joint_right"):
-            rule, learned = (right(rows, f"{part}{when}") for rows in shares[preset])
-            assert learned > rule - 0.015, (preset, part, rule, learned)
-    rule, learned = (right(rows, f"verdict_right{when}") for rows in shares["hard"])
+def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(when):
+    """Two hinges, not those of the training: more than chance allows."""
+    rule, learned = (right(rows, f"verdict_right{when}") for rows in rule_and_learned("hard"))
     assert learned > rule + 0.03, (rule, learned)
 
 
-def test_a_kind_of_fault_is_never_called_normal_where_the_rule_sees_it(shares):
-    for rule, learned in shares.values():
-        for column in ("kind_hat", "kind_hat_settled"):
-            assert not ((learned[column] == "normal") & (rule[column] != "normal")).any()
+@pytest.mark.parametrize("when", ["", "_settled"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("preset", ["standard", "uncommon"])
+def test_where_the_rule_is_good_it_is_no_worse(preset, when):
+    for part in ("kind_right", "joint_right"):
+        rule, learned = (right(rows, f"{part}{when}") for rows in rule_and_learned(preset))
+        assert learned > rule - 0.015, (part, rule, learned)
+
+
+@pytest.mark.thorough
+@PRESETS
+def test_a_kind_of_fault_is_never_called_normal_where_the_rule_sees_it(preset):
+    rule, learned = rule_and_learned(preset)
+    for column in ("kind_hat", "kind_hat_settled"):
+        assert not ((learned[column] == "normal") & (rule[column] != "normal")).any()

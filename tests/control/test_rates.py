@@ -109,6 +109,7 @@ def test_ticks_that_were_not_given_follow_a_replaced_sample_time():
 RUN_RATES = [pytest.param(dt, marks=() if dt in (2e-3, 10e-3) else pytest.mark.slow) for dt in RATES]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dt", RUN_RATES)
 def test_a_healthy_arm_is_quiet_with_every_encoder(dt):
     """The arm moves and stands, encoders of 10 to 20 bit and with white noise side by side."""

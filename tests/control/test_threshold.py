@@ -119,6 +119,7 @@ def test_a_negative_share_is_refused(small, constant):
         jaxftc.init(small, constant.replace({"diagnosis.follow_speed": -0.1}), np.zeros(2))
 
 
+@pytest.mark.thorough
 def test_its_gradient_is_that_of_differences(small, following):
     """In the shares, the threshold at rest and the motion, away from where a size has its corner."""
     q, qd, qdd = (jnp.asarray(x) for x in motions(2, 2, 3))
@@ -177,7 +178,7 @@ def test_follow_needs_a_share_of_false_alarms(capsys):
     assert stop.value.code == 2 and "--follow sets thresholds, and needs --false-alarms" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("scheme", ["momentum", "ekf"])
+@pytest.mark.parametrize("scheme", ["momentum", pytest.param("ekf", marks=pytest.mark.thorough)])
 def test_the_baselines_have_it_too(small, following, scheme):
     config = dataclasses.replace(small, scheme=scheme)
     q, qd, qdd = (x[:, 0] for x in motions(2))

@@ -44,7 +44,7 @@ def test_it_is_step_bit_for_bit_in_shape_and_to_rounding_in_value(config, loop, 
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("scheme", ["momentum", "ekf", "computed_torque"])
+@pytest.mark.parametrize("scheme", ["momentum", pytest.param("ekf", marks=pytest.mark.thorough), "computed_torque"])
 def test_every_scheme_has_one(config, scheme, backend):
     config = dataclasses.replace(config, scheme=scheme)
     tick = jaxftc.Tick(config, jaxftc.default_gains(config), backend=backend)

@@ -74,6 +74,7 @@ def assert_met(found, ticks):
     assert set(found.error) == set(check.KINDS) and found.alarms > 100
 
 
+@pytest.mark.thorough
 @needs_c
 def test_the_files_do_what_step_does_under_every_fault(exported):
     folder, tick = exported["double"]
@@ -87,6 +88,7 @@ def test_the_files_do_what_step_does_under_every_fault(exported):
     assert not found["other"].met and found["other"].verdicts > 0
 
 
+@pytest.mark.thorough
 @needs_c
 def test_single_precision_with_gains_at_run_time_too(exported):
     folder, tick = exported["float"]
@@ -223,6 +225,7 @@ def nasty(x, y, k):
     }
 
 
+@pytest.mark.thorough
 @needs_c
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_the_table_means_what_xla_means(dtype):

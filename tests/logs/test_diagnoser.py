@@ -127,6 +127,7 @@ def rubbing(log):
     return log._replace(tau=log.tau + 1.5 * np.gradient(log.q, DT, axis=0))
 
 
+@pytest.mark.thorough
 def test_thresholds_follow_a_motion_that_the_model_has_wrong(config, calibration, arm, log):
     healthy_logs = [rubbing(healthy(arm, seed, 24.0)) for seed in (1, 2)]
     plain = calibrate_on_logs(config, calibration.gains, healthy_logs, false_alarms=0.1)

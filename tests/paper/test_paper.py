@@ -72,6 +72,7 @@ def detect(config, conditions, seeds):
     return {condition: found[k * seeds : (k + 1) * seeds] for k, condition in enumerate(conditions)}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("coulomb", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_no_alarm_without_a_fault_in_200_seeds(coulomb):
     with jax.enable_x64(False):
@@ -86,6 +87,7 @@ def decided(paper_arm):
         return detect(jaxftc.Config(paper_arm, engine="chain"), CONDITIONS, 50)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("condition", CONDITIONS[1:])
 def test_fault_is_decided_on_every_joint_in_50_seeds(condition, decided):
     results = decided[condition]
@@ -112,6 +114,7 @@ def test_mjx_decides_the_same(condition, paper_arm):
     assert all(found.isolated and found.false_alarm_s is None for found in results)
 
 
+@pytest.mark.thorough
 def test_hard_sign_raises_the_noise_floor(paper_arm):
     """Gains for the smooth sign are not simply valid with the printed one: the healthy residual grows past the threshold."""
     with jax.enable_x64(False):

@@ -268,6 +268,7 @@ def test_a_quick_run_is_no_baseline(option, tmp_path, monkeypatch, capsys):
     assert stop.value.code == 2 and "--quick has other sizes than the baseline" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("torque", [5.0, 18.0])  # the second drives the wrist into its limits
 @pytest.mark.parametrize("coulomb", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_the_loop_in_numpy_is_the_library_s(torque, coulomb):

@@ -252,6 +252,7 @@ def test_a_relative_cache_home_is_ignored(monkeypatch):
     assert program_cache.user_folder().is_absolute()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "observer", [*(pytest.param(o, marks=pytest.mark.slow) for o in ("pi", "eso", "eso_printed")), "ts"]
 )

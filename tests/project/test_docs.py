@@ -23,6 +23,7 @@ PAGES |= {
 }
 # They compile campaigns, loops, or a gradient for all gains.
 SLOW_PAGES = {"campaigns.md", "performance.md", "tuning.md", "robot.md", "own-scheme.md"}
+THOROUGH_PAGES = {"start.md", "own-arm.md", "export.md", "recordings.md"}
 REDUCED = {  # options added to the printed commands before they run here: their own sizes take minutes to hours
     "demo": "--engine chain",
     "simulate": "",
@@ -147,7 +148,8 @@ def test_outputs_are_compared():
 
 def pages_with_python() -> list:
     names = [name for name in PAGES if python(name)]
-    return [pytest.param(name, marks=pytest.mark.slow) if name in SLOW_PAGES else name for name in names]
+    marks = dict.fromkeys(SLOW_PAGES, pytest.mark.slow) | dict.fromkeys(THOROUGH_PAGES, pytest.mark.thorough)
+    return [pytest.param(name, marks=marks.get(name, ())) for name in names]
 
 
 @pytest.mark.parametrize("page", pages_with_python())
@@ -260,6 +262,7 @@ def test_links_of_the_readme_lead_somewhere():
         assert not anchor or anchor in {heading.lower().replace(" ", "-") for heading in headings}, f"{path}#{anchor}"
 
 
+@pytest.mark.thorough
 def test_the_site_builds_without_a_warning(tmp_path):
     for package in ("sphinx", "myst_parser", "furo", "latex2mathml"):
         pytest.importorskip(package, reason="pip install -e '.[docs]' builds the site")

@@ -23,6 +23,7 @@ from jaxftc.scenarios.scenario import CONDITIONS
 from tests.arms import three_hinges, two_hinges
 
 ENGINES = ("mjx", "chain")
+MJX_TOO = pytest.mark.parametrize("engine", [pytest.param("mjx", marks=pytest.mark.thorough), "chain"])
 DT = 1e-3  # s
 QN = np.array([0, np.pi / 4, np.pi, 0, np.pi / 4, 0])  # rad, the pose at which the field quotes numbers
 STATES = 1000
@@ -102,7 +103,7 @@ def test_inertia_of_the_literature():
     np.testing.assert_allclose([matrix[0, 1], matrix[0, 2], matrix[1, 2]], [-0.4044, 0.1006, 0.3509], atol=5e-5)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@MJX_TOO
 def test_acceleration_of_the_literature(puma, engine):
     """The published number has the printed sgn in its friction: a narrow tanh is the same at these speeds."""
     hard = dataclasses.replace(puma, coulomb_speed=1e-6, fingerprint="puma560 with a hard sign")
@@ -156,7 +157,7 @@ def test_mass_matrix_is_symmetric_and_positive_definite(q):
     assert np.linalg.eigvalsh(matrix).min() > 0.01  # kg m^2, less than the smallest motor's
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@MJX_TOO
 def test_forward_undoes_inverse(puma, engine):
     arm = puma if engine == "chain" else two_hinges()  # MJX takes long to compile the larger one
     q, qd, _ = random_states(200, arm.n)
@@ -262,7 +263,7 @@ def test_nothing_moves_without_a_torque_where_there_is_no_gravity(puma):
     np.testing.assert_allclose(forward(weightless, QN, np.zeros(6), tau, engine="chain"), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@MJX_TOO
 def test_trailing_axes_are_a_loop_over_scenarios(engine):
     arm = two_hinges()
     q, qd, tau = (x.reshape(arm.n, 4, 2) for x in random_states(8, arm.n))
@@ -303,6 +304,7 @@ def test_both_engines_have_the_same_gradient_in_every_property_of_the_plant(arm)
         np.testing.assert_allclose(mine, theirs, rtol=1e-8, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.thorough
 @small_and_large(jaxftc.puma560(coulomb=False))
 def test_the_closed_loop_does_not_depend_on_the_engine(arm):
     """1 s of the paper's four conditions: the same angles to 1e-6 rad, and the same diagnosis."""

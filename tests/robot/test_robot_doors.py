@@ -134,9 +134,12 @@ def acceleration_in_c(robot: jaxftc.Robot, payload: float, q, qd, tau) -> np.nda
 
 
 def arms_and_engines() -> list:
-    """Seven hinges take MJX long to compile."""
+    """MJX takes long to compile."""
     pairs = [(arm, engine) for arm in ARMS for engine in ("chain", "mjx")]
-    return [pytest.param(*pair, marks=[pytest.mark.slow] * (pair == ("seven hinges", "mjx"))) for pair in pairs]
+    longer = {("seven hinges", "mjx"): [pytest.mark.slow]} | {
+        (arm, "mjx"): [pytest.mark.thorough] for arm in ("two links", "one hinge")
+    }
+    return [pytest.param(*pair, marks=longer.get(pair, [])) for pair in pairs]
 
 
 @pytest.mark.parametrize(("arm", "engine"), arms_and_engines())

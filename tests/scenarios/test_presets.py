@@ -313,6 +313,7 @@ def test_a_law_that_changes_changes_no_other_draw(many, config):
     assert changed == {".q_goal", ".plant.mass", ".plant.armature"}
 
 
+@pytest.mark.thorough
 def test_a_condition_without_a_share_never_comes(own, config):
     """Shares whose float32 sum ends below 1 included."""
     with jax.enable_x64(False):

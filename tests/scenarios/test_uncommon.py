@@ -38,6 +38,7 @@ def test_one_that_has_them_makes_them_known_to_all_of_a_set(config):
     assert stack([plain, plain]).uncommon is None
 
 
+@pytest.mark.thorough
 def test_knowing_it_changes_no_number(config, drawn):
     """To rounding: the programs differ, and so may their last digits."""
     gains = jaxftc.default_gains(config)

@@ -123,6 +123,7 @@ def test_searches_stay_within_their_budget_and_resume(arm, scenarios, method, tm
     same(run(arm, scenarios, settings=settings, folder=tmp_path).gains, whole.gains)
 
 
+@pytest.mark.thorough
 def test_finite_differences_descend(arm, scenarios):
     settings = dataclasses.replace(SMALL, method="finite", steps=8, patience=1.0)
     result = run(arm, scenarios, settings=settings, only=["baseline.kp", "baseline.kd"], shared=["baseline"])
@@ -191,6 +192,7 @@ def test_searches_have_nothing_to_undo(arm, scenarios):
     assert (result.events, result.stopped) == ([], "all steps done")
 
 
+@pytest.mark.thorough
 def test_one_run_with_a_gradient_without_end_does_not_turn_the_step(arm, scenarios):
     """A term whose slope is not a number on one scenario, and a million on another."""
 

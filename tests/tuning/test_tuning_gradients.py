@@ -14,6 +14,8 @@ from tests.arms import two_hinges
 from tests.contract.test_gradients import base_gains, faulty
 from tuning import OBJECTIVE, Problem, problem, transform
 
+pytestmark = pytest.mark.thorough  # half a minute to compile; test_gradients.py has the loop in every gain
+
 BATCH = 8
 STEPS = (1e-5, 1e-4)  # rounding spoils the small one, kinks (torque travel) the large one
 # The poles and the stiff read-out behind them: a step of 1e-5 is a large one there.
@@ -58,7 +60,6 @@ def setup():
     return Setup(space, loss, slope, slope("reverse"))
 
 
-@pytest.mark.slow
 def test_reverse_and_forward_agree(setup):
     np.testing.assert_allclose(setup.slope("forward"), setup.reverse, rtol=1e-6, atol=1e-9 * np.abs(setup.reverse).max())
 

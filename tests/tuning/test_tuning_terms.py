@@ -17,6 +17,8 @@ from tests.twins import terms as twin
 from tuning import OBJECTIVE, Problem, Run, Term, transform
 from tuning.problem import LOST
 
+pytestmark = pytest.mark.thorough
+
 N = 24
 
 
