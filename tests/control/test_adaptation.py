@@ -127,6 +127,7 @@ def test_learning_goes_on_after_a_verdict(config, gains, rng):
     assert np.abs(after.information.lz - moved.information.lz).max() > 1e-3
 
 
+@pytest.mark.thorough
 def test_slopes_are_those_of_finite_differences(config, gains, rng):
     inputs = signals(rng, 15)
     start, _ = run_block(config, gains, signals(rng, 30))

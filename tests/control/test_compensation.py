@@ -103,7 +103,6 @@ def linear():
     return made, config(), jaxftc.default_gains(made).replace({"control.rate": np.array([0.0, 50.0, 300.0])})
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("frequency", [10.0, 40.0])
 def test_its_response_is_that_of_the_recursion(linear, frequency):
     made, whole, gains = linear

@@ -172,6 +172,7 @@ def test_a_force_of_nothing_changes_nothing(small, gains, runs):
         np.testing.assert_array_equal(mine, theirs)
 
 
+@pytest.mark.thorough
 def test_a_verdict_of_contact_changes_nothing_but_verdict_and_force(small, gains, runs):
     """What is said of torques does not reach the arm: switched off, everything else is the same."""
     count, scenarios, trace = runs
@@ -216,6 +217,7 @@ def test_no_gradient_passes_through_the_rule_and_none_is_lost_in_it(statistic):
     np.testing.assert_array_equal(np.stack(slopes), 0.0)
 
 
+@pytest.mark.thorough
 def test_the_torque_of_a_contact_has_the_slopes_of_differences():
     robot, scenario = three_hinges(), jaxftc.healthy_scenario(jaxftc.Config(three_hinges()))
     scenario = scenario.with_contact(3, 30.0, 0.1, axis=(0.3, 1.0, 0.2), along=0.6, offset=(0.05, 0.0, 0.02), rise=0.1)

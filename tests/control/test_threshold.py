@@ -144,6 +144,7 @@ def runs(small, constant, following):
     }
 
 
+@pytest.mark.thorough
 def test_a_fault_does_not_raise_its_own_threshold(runs):
     healthy, faulty = (np.asarray(runs[name, "following"].out.threshold_tau) for name in ("healthy", "actuator"))
     np.testing.assert_array_equal(healthy, faulty)

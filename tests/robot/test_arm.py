@@ -123,7 +123,7 @@ def test_torque_limits_of_the_motors(puma):
     np.testing.assert_array_equal(puma.torque_limit, TORQUE_LIMIT)
 
 
-@pytest.mark.parametrize("engine", ENGINES)
+@MJX_TOO
 @pytest.mark.parametrize("which", ["nominal", "perturbed"])
 def test_one_step_is_that_of_mujoco_in_c(puma, engine, which):
     q, qd, tau = random_states()

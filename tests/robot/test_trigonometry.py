@@ -13,7 +13,7 @@ from jaxftc.numerics.trigonometry import cos_sin
 angles = st.floats(-6e3, 6e3, width=32, allow_subnormal=False)
 
 
-@given(st.lists(angles, min_size=1, max_size=50))
+@given(st.lists(angles, min_size=20, max_size=20))  # one shape: another one compiles again
 def test_single_precision_is_right_to_two_units_in_the_last_place(x):
     x = np.array(x, np.float32)
     for ours, theirs in zip(cos_sin(jnp.asarray(x)), (np.cos(x.astype(float)), np.sin(x.astype(float))), strict=True):

@@ -25,6 +25,7 @@ def test_figures_of_a_known_case():
     assert comparison(before, np.array([[10.0, 10.0, 1.0], [10.0, 0.0, 10.0]])).diverged == (0, 1)
 
 
+@pytest.mark.thorough
 def test_both_signs_on_both_presets_on_scenarios_of_the_key():
     config = jaxftc.Config(two_hinges(), engine="chain", scheme="computed_torque", duration=0.02)
     gains = jaxftc.default_gains(config)
