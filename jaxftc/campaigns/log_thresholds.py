@@ -125,7 +125,8 @@ def calibrate_on_logs(
     noise, stiction = _noise_and_stiction(config, gains, logs)
     found = _peaks(config, _open(config, gains.replace({"diagnosis.stiction": stiction})), logs, block)
     level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
-    gains = gains.replace(_thresholds(config, found, level) | {"diagnosis.stiction": stiction})
+    torques = any(np.isfinite(log.tau).any() for log in logs)
+    gains = gains.replace(_thresholds(config, found, level, torques) | {"diagnosis.stiction": stiction})
     seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
     promise = Promise(
         healthy_s=healthy,
@@ -141,21 +142,25 @@ def calibrate_on_logs(
     return LogCalibration(gains, promise, noise)
 
 
-def _thresholds(config: Config, found: _Peaks, level: _Level) -> dict[str, np.ndarray | float]:
-    """Thresholds, the jump and the rate by gain: the largest statistics seen, times the level's factor."""
+def _thresholds(config: Config, found: _Peaks, level: _Level, torques: bool) -> dict[str, np.ndarray | float]:
+    """Thresholds, the jump and the rate by gain: the largest statistics seen, times the level's factor.
+
+    Logs without ``torques`` say nothing of the torque channel, which stays as it is.
+    """
+    widest = np.maximum(found.w.max(0), LEAST_JUMP)
+    half_jump = np.maximum(widest * level.factor(np.maximum(found.w, LEAST_JUMP)), PUSHES * found.psi * config.dt**2)
+    of_readings = {"diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q), "observer.jump": 2 * half_jump}
+    if not torques:
+        return of_readings
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
     which = _best(largest, _rates(config))
     scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
     at_rate = np.broadcast_to(which[None, :, None], (len(found.tau), config.n, 1))
     alpha_tau = scale * level.factor(np.take_along_axis(found.tau, at_rate, 2)[..., 0])
-    widest = np.maximum(found.w.max(0), LEAST_JUMP)
-    half_jump = np.maximum(widest * level.factor(np.maximum(found.w, LEAST_JUMP)), PUSHES * found.psi * config.dt**2)
-    return {
+    return of_readings | {
         "diagnosis.alpha_tau": alpha_tau,
-        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
         "diagnosis.lam_tau": 1.0,
-        "observer.jump": 2 * half_jump,
         "diagnosis.rate": _rates(config)[which],
     }
 

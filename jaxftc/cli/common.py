@@ -193,7 +193,10 @@ def whole_arm(robot: str, tip: str | None, lock: tuple[str, ...]) -> Arm:
         found = built_in(tip, lock, coulomb=True)
         print(f"arm: {found.name}, built in, {found.n} joints; for another give --robot FILE", file=sys.stderr)
         return Arm(found)
-    return Arm(read_arm(robot, tip, lock), arm_file.read_arm(robot).recording)
+    found = read_arm(robot, tip, lock)
+    if tip is not None or lock:  # for a model file, which does not say how logs are read
+        return Arm(found)
+    return Arm(found, arm_file.read_arm(robot).recording)
 
 
 def arm_words(options: Options) -> list[str]:

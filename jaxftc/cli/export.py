@@ -54,7 +54,7 @@ class Export(common.Options):
 
         common.key(self)  # the seed's range
         common.look_here_for(self.scheme)
-        dt = self.dt or 1e-3
+        dt = common.sample_time(self)
         base = Config(common.load_arm(self), dt=dt, t_final=1000 * dt, engine="chain", decision=self.decision)
         config = variant(base, self.scheme)
         with precision("double"):

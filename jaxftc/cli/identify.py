@@ -146,7 +146,7 @@ class Identify(LogOptions, common.ArmOptions):
         given = dict(pair.split("=", 1) for pair in self.columns)
         n = arm.robot.n
         wide = {key: tuple(given[f"{key}{j + 1}"] for j in range(n)) for key in ("q", "tau") if f"{key}1" in given}
-        names = tuple((({"t": (given["t"],)} if "t" in given else {}) | wide).items()) or before.columns
+        names = tuple((dict(before.columns) | ({"t": (given["t"],)} if "t" in given else {}) | wide).items())
         recording = dataclasses.replace(
             before,
             sample_time=logs[0].dt,

@@ -24,6 +24,16 @@ static void read_angles(int tick, ftc_real q[FTC_JOINTS]) {
 
 static void write_torques(const ftc_real tau[FTC_JOINTS]) { (void)tau; }
 
+static const char *word(int32_t verdict) {
+    switch (verdict) {
+        case FTC_NORMAL: return "normal";
+        case FTC_ACTUATOR: return "actuator";
+        case FTC_SENSOR: return "sensor";
+        case FTC_BOTH: return "both";
+        default: return "contact";
+    }
+}
+
 static void wait_until(struct timespec *next) {
     next->tv_nsec += (long)(1e9 * FTC_SAMPLE_TIME);
     while (next->tv_nsec >= 1000000000L) {
@@ -35,7 +45,6 @@ static void wait_until(struct timespec *next) {
 
 int main(void) {
     static const char *const names[] = FTC_JOINT_NAMES;
-    static const char *const verdicts[] = {"normal", "actuator", "sensor", "both"};
     int32_t said[FTC_JOINTS] = {0};
     ftc_state state;
     ftc_out out;
@@ -57,7 +66,7 @@ int main(void) {
         write_torques(out.tau);
         for (int j = 0; j < FTC_JOINTS; j++) {
             in.measurement.tau[j] = out.tau[j]; /* or what the drive says that it made of it */
-            if (out.verdict[j] != said[j]) printf("%3d ms %s: %s\n", tick, names[j], verdicts[out.verdict[j]]);
+            if (out.verdict[j] != said[j]) printf("%g s %s: %s\n", tick * FTC_SAMPLE_TIME, names[j], word(out.verdict[j]));
             said[j] = out.verdict[j];
         }
     }

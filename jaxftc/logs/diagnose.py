@@ -31,7 +31,8 @@ def diagnose(config: Config, gains: Gains, log: Log) -> Diagnosis:
         The diagnosis of every tick.
 
     Raises:
-        ValueError: a gain is not allowed, the observer is unstable, or the log is of another arm or sample time.
+        ValueError: a gain is not allowed, the observer is unstable, the log is of another arm or sample time, or its torques
+            are not in N m.
     """
     parts = [said for _, said in Stream(config, gains).feed(log)]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
@@ -57,9 +58,14 @@ class Stream:
         ``goes_on`` says that the log follows the last one without a gap.
 
         Raises:
-            ValueError: the log is of another arm or sample time.
+            ValueError: the log is of another arm or sample time, or its torques are not in N m.
         """
         n, dt = self.config.n, self.config.dt
+        if log.unit != "N m":
+            raise ValueError(
+                f"the log has torques in {log.unit}, and the N m for one are not known; give the arm.toml that identify "
+                "wrote of such logs, or torque_per_ampere"
+            )
         q, tau = np.asarray(log.q), np.asarray(log.tau)
         jitter = np.zeros(len(q)) if log.jitter is None else log.jitter
         for name, value in (("q", q), ("tau", tau)):

@@ -76,7 +76,7 @@ def read(
     path = Path(path)
     cells = table(path)
     try:
-        columns = columns or _recorded_columns(recording, cells)
+        columns = _with_recorded(columns, recording, cells)
         options = _Options(
             columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check, faulty
         )
@@ -95,14 +95,15 @@ class _Options(NamedTuple):
     faulty: bool
 
 
-def _recorded_columns(recording: Recording, table: Table) -> dict[str, str] | None:
-    """Columns that the arm's file names, if this log has them."""
-    found = {}
+def _with_recorded(given: Mapping[str, str] | None, recording: Recording, table: Table) -> Mapping[str, str] | None:
+    """The columns that are given, and beside them those that the arm's file names, if this log has them all."""
+    found: dict[str, str] = {}
     for key, names in recording.columns:
         if key in ("t", "q", "tau"):
             found |= {key: names[0]} if key == "t" else {f"{key}{j}": name for j, name in enumerate(names, start=1)}
+    found |= given or {}
     there = all(name in table.columns or name.removeprefix("-") in table.columns for name in found.values())
-    return found if found and there else None
+    return found if found and there else given
 
 
 def _log(table: Table, robot: Robot, recording: Recording, options: _Options) -> Log:
@@ -122,7 +123,8 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
         tau, unit = _torque(tau, found, robot, recording, options.torque_per_ampere, notes)
     _hollow(found, q, tau)
     q, degrees = _angles(robot, q, found, options, notes)
-    t = stamps(table, found, options.dt, q, notes)
+    own_dt = recording.sample_time if found.time is None else None
+    t = stamps(table, found, own_dt if options.dt is None else options.dt, q, notes)
     rows = order(t, np.all(np.isfinite(q if tau is None else np.hstack([q, tau])), axis=1))
     notes += rows.notes
     q, tau = q[rows.kept], None if tau is None else tau[rows.kept]

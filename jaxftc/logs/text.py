@@ -205,7 +205,9 @@ def _columns(
     except ValueError:
         pass
     table = [_cells(line, cut) for _, line in lines]
-    for cells, (number, _) in zip(table, lines, strict=True):
+    for cells, (number, line) in zip(table, lines, strict=True):
+        if len(cells) == len(head) - 1 and cut and line.rstrip().endswith(cut) and number != lines[-1][0]:
+            cells.append("")  # the last one is empty: no separator at the end of the line
         if len(cells) == len(head):
             continue
         if number == lines[-1][0] and len(cells) < len(head):  # the recorder was stopped while it wrote

@@ -158,7 +158,7 @@ def test_the_example_runs_clean(exported, real, tmp_path):
     native.build([folder / "example.c", folder / "ftc_step.c"], tmp_path / "example", *STRICT, *SANITIZED)
     done = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
-    assert done.stdout == "200 ms joint1: sensor\n400 ticks\n"
+    assert done.stdout == "0.2 s joint1: sensor\n400 ticks\n"
 
 
 @pytest.mark.parametrize("real", ["double", "float"])

@@ -146,6 +146,16 @@ def test_thresholds_follow_a_motion_that_the_model_has_wrong(config, calibration
     assert not found[0] or found[1][0].start_s <= found[0][0].start_s + 0.05
 
 
+def test_logs_without_torques_leave_the_torque_channel_as_it_is(config, calibration, arm):
+    """With runs enough to count, which once divided 0 by 0."""
+    bare = [log._replace(tau=np.full_like(log.tau, np.nan)) for log in (healthy(arm, seed, 24.0) for seed in (1, 2))]
+    found = calibrate_on_logs(config, calibration.gains, bare, false_alarms=0.1, run=1.0)
+    assert found.promise.method == "sample"
+    for name in ("alpha_tau", "rate", "lam_tau"):
+        np.testing.assert_array_equal(getattr(found.gains.diagnosis, name), getattr(calibration.gains.diagnosis, name))
+    assert np.isfinite(found.gains.diagnosis.alpha_q).all() and np.isfinite(found.gains.observer.jump).all()
+
+
 def test_logs_too_short_for_two_halves_make_them_together(config, calibration, arm):
     whole, size = rubbing(healthy(arm, 1, 24.0)), round(4.0 / DT)
     logs = [whole._replace(q=whole.q[k : k + size], tau=whole.tau[k : k + size], t=whole.t[:size])

@@ -603,6 +603,10 @@ NOTED = {  # what is odd: (the log, the line that a user reads, options)
         lambda t: t | {"q2": cells(t["q2"], r5="", r6="NA")},
         "2 rows with a missing value left out, the first is row 5",
     ),
+    "an empty last cell": (
+        lambda t: t | {"tau3": cells(t["tau3"], r5="", r6="")},
+        "2 rows with a missing value left out, the first is row 5",
+    ),
     "degrees": (lambda t: {k: np.rad2deg(v) if k[0] == "q" else v for k, v in t.items()}, "angles are in degrees (joint"),
     "a wrap": (
         lambda t: t | {"q3": (t["q3"] + 2.2 + np.pi) % (2 * np.pi) - np.pi},
@@ -762,6 +766,11 @@ def test_the_arms_file_says_how_its_logs_are_read(arm, good, tmp_path):
     recording = Recording(torque_gain=(4.0, 4.0, 4.0), torque_offset=(0.5, 0.5, 0.5), columns=columns)
     same(logs.read(path, Arm(arm, recording)), good)
     same(logs.read(path, Config(arm, dt=0.01, t_final=1.0), recording=recording), good)
+    other = {"stamp" if name == "when" else name: column for name, column in strange.items()}
+    path = small_logs.write(tmp_path / "other.csv", other)
+    same(logs.read(path, Arm(arm, recording), columns={"t": "stamp"}), good)
+    without_time = Recording(sample_time=0.01)
+    same(logs.read(small_logs.write(tmp_path / "bare.csv", without(good, "t")), Arm(arm, without_time)), good)
 
 
 def test_a_sign_that_is_given_is_turned(arm, good, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 import small_logs
 from jax.test_util import check_grads
 
+import jaxftc
 from jaxftc import identify, load_robot, logs
 from jaxftc.cli.main import main
 from jaxftc.identify import consistent, derivatives
@@ -158,6 +159,9 @@ def test_the_gain_of_currents_is_found(arm, folder):
     assert model.held_out.share_after < 0.05
     with pytest.raises(ValueError, match="give torque_per_ampere"):
         identify.judge(arm, log)
+    config = jaxftc.Config(arm, dt=log.dt, t_final=log.dt, engine="chain")
+    with pytest.raises(ValueError, match=r"the log has torques in A, .* or torque_per_ampere"):
+        logs.diagnose(config, jaxftc.default_gains(config), log)
 
 
 def test_stretches_are_taken_one_by_one(arm):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import jaxftc
+from jaxftc.cli import common
 from jaxftc.cli.main import main
 from jaxftc.robot.arm_file import read_robot
 from jaxftc.robot.doubts import doubts
@@ -218,6 +219,13 @@ def test_a_tip_picks_one_arm_of_two(tmp_path, tip):
     matrix, gravity, _ = by_hand(urdf(TWO_ARMS), robot.joint_names, q, {"waist": 0.3})
     np.testing.assert_allclose(jaxftc.inverse_dynamics(robot, q, 0 * q, 0 * q), gravity, atol=1e-10)
     np.testing.assert_allclose(mass_matrices(robot.links, q[None])[0], matrix, atol=1e-12)
+
+
+def test_a_tip_is_for_the_commands_that_read_logs_too(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf(TWO_ARMS))
+    arm = common.whole_arm(str(path), "left3", ("waist=0.3",))
+    assert arm.robot.joint_names == ("left_j1", "left_j2", "left_j3") and not arm.recording.columns
 
 
 def test_a_tip_leaves_out_what_comes_after_it(tmp_path):
