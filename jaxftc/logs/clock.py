@@ -33,6 +33,22 @@ def own_rate(t: np.ndarray) -> float:
     return float(usual) if abs(median / usual - 1) < 0.02 else float(f"{median:.3g}")
 
 
+def lost(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Where [T, n] a joint has no angle for longer than is bridged, and another one has; of stamps [T] s, angles [T, n]."""
+    missing, there = ~np.isfinite(q), np.isfinite(t)
+    out = np.zeros(q.shape, bool)
+    if not missing.any() or not (np.diff(t[there]) > 0).any():
+        return out
+    limit = max(GAP * own_rate(t[there]), GAP_SECONDS)
+    alone = missing & ~missing.all(1, keepdims=True)
+    for j in np.flatnonzero(alone.any(0)):
+        edges = np.flatnonzero(np.diff(np.r_[False, alone[:, j], False]))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            bridged = t[min(stop, len(t) - 1)] - t[max(start - 1, 0)] <= limit
+            out[start:stop, j] = not bridged
+    return out
+
+
 def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     """The rows that count: stamps that increase, every value there; cut at gaps and where the clock starts anew.
 

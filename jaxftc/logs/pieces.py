@@ -58,7 +58,7 @@ def pieces(
                 options |= {"recording": options.get("recording") or getattr(arm, "recording", None)}
                 options |= {"degrees": log.degrees or options.get("degrees")}
             else:  # a piece takes the first row of the next one with it: the same reading
-                turns = 2 * np.pi * np.round((last.q[-1] - log.q[0]) / (2 * np.pi))
+                turns = 2 * np.pi * np.nan_to_num(np.round((last.q[-1] - log.q[0]) / (2 * np.pi)))  # NaN: no reading
                 log = log._replace(q=log.q + turns)
             whole = len(log.stretches) == 1 and (k + 1) * size < count
             t, jitter = (None if part is None else part[:-1] for part in (log.t, log.jitter))

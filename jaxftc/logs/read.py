@@ -15,7 +15,7 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.logs.against_model import doubts
-from jaxftc.logs.clock import order, resample
+from jaxftc.logs.clock import lost, order, resample
 from jaxftc.logs.columns import Columns, find, listed
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
@@ -58,7 +58,8 @@ def read(
         degrees: Whether angles are in degrees; found out if not given.
         torque_per_ampere: N m for one ampere, one number or one a joint, where currents were recorded.
         check: Hold the columns against the model; ``False`` takes them as they are.
-        faulty: The log may hold a fault: columns that do not fit the model are noted and not refused.
+        faulty: The log may hold a fault: columns that do not fit the model are noted and not refused, and where a joint has
+            no angle for longer than five rows or 20 ms, the log has NaN; else such rows are left out.
 
     Returns:
         The log; its ``notes`` say what was found and repaired. Without torques in the file, ``tau`` is NaN.
@@ -125,9 +126,16 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     q, degrees = _angles(robot, q, found, options, notes)
     own_dt = recording.sample_time if found.time is None else None
     t = stamps(table, found, own_dt if options.dt is None else options.dt, q, notes)
+    gone = lost(t, q) if options.faulty else np.zeros(q.shape, bool)
+    mute = gone if tau is None else gone & ~np.isfinite(tau)
+    q, tau = _filled(q, gone), None if tau is None else _filled(tau, mute)
+    for j in np.flatnonzero(gone.any(0)):
+        rest = f"has no angle in {gone[:, j].sum()} rows, the first is row {gone[:, j].argmax() + 1}"
+        notes.append(f"joint {j + 1} ({robot.joint_names[j]}) {rest}")
     rows = order(t, np.all(np.isfinite(q if tau is None else np.hstack([q, tau])), axis=1))
     notes += rows.notes
     q, tau = q[rows.kept], None if tau is None else tau[rows.kept]
+    absent = np.hstack([gone, mute])[rows.kept].astype(float)
     _absurd(found.angle, q, rows.kept, FARTHEST, "rad, no angle of a joint")
     if tau is not None and found.torque:
         _absurd(found.torque, tau, rows.kept, STRONGEST, "N m, no torque of a joint")
@@ -145,8 +153,8 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
             f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
             f"what lies between its rows is not known, so take dt = {rows.dt:g}"
         )
-    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau], step)
-    q, torque = even.values
+    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau, absent], step)
+    q, torque, absent = even.values
     notes += still(robot, q)
     if len(q) < LEAST_ROWS:
         raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
@@ -162,7 +170,17 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
             before = f"; found before: {'; '.join(rows.notes)}" if rows.notes else ""
             raise ValueError(f"{'; '.join(wrong)} (--no-check takes the columns as they are){before}")
         notes += noticed
-    return log._replace(notes=tuple(notes))
+    gone, mute = np.hsplit(absent > 0, 2)
+    return log._replace(q=np.where(gone, np.nan, q), tau=np.where(mute, np.nan, torque), notes=tuple(notes))
+
+
+def _filled(values: np.ndarray, gone: np.ndarray) -> np.ndarray:
+    """Values [rows, n] with straight lines where they are ``gone``, for what looks at the log before the diagnosis does."""
+    values = values.copy()
+    for j in np.flatnonzero(gone.any(0)):
+        at, there = np.flatnonzero(gone[:, j]), np.flatnonzero(np.isfinite(values[:, j]))
+        values[at, j] = np.interp(at, there, values[there, j])
+    return values
 
 
 def slow_speed(log: Log) -> np.ndarray:

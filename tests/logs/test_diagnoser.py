@@ -122,6 +122,25 @@ def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fa
         assert (abs(event.size), event.unit) == (pytest.approx(sizes[fault.__name__][0], rel=0.15), sizes[fault.__name__][1])
 
 
+@pytest.mark.parametrize("columns", [("q2",), ("q2", "tau2")], ids=["angle", "angle and torque"])
+@pytest.mark.parametrize("last", [1100, 1600], ids=["comes back", "for good"])
+def test_an_encoder_that_falls_silent_in_a_file_is_an_event(config, calibration, log, tmp_path, columns, last):
+    """Its rows are not left out, as a gap of the recorder is."""
+    table = {"t": log.t} | {f"{name}{j + 1}": getattr(log, name)[:, j].copy() for name in ("q", "tau") for j in range(3)}
+    for name in columns:
+        table[name][ON:last] = np.nan
+    path = small_logs.write(tmp_path / "log.csv", table)
+    read, tick = logs.read(path, config, check=False, faulty=True), np.arange(len(log.q))[:, None]
+    silent = (tick >= ON) & (tick < last) & (np.arange(3) == 1)
+    np.testing.assert_array_equal(np.isnan(read.q), silent)
+    np.testing.assert_array_equal(np.isnan(read.tau), silent & ("tau2" in columns))
+    assert any(f"has no angle in {last - ON} rows, the first is row {ON + 1}" in note for note in read.notes)
+    line = events(config, calibration.gains, read)
+    assert [(event.joint, event.kind) for event in line.events] == [(2, "sensor")]
+    assert abs(line.events[0].start_s - ON * DT) < 0.1 and abs(line.events[0].end_s - last * DT) < 0.3
+    assert len(logs.read(path, config, check=False).q) < len(log.q), "a log that is to be healthy has no such rows"
+
+
 def rubbing(log):
     """The log of an arm with more viscous friction than its model has."""
     return log._replace(tau=log.tau + 1.5 * np.gradient(log.q, DT, axis=0))
