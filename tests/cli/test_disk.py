@@ -225,6 +225,7 @@ def test_one_folder_one_command_one_result_one_process(tmp_path):
         pass
 
 
+@pytest.mark.thorough
 def test_a_folder_of_others_is_not_filled(tmp_path, refused):
     (tmp_path / "thesis.tex").write_text("")
     for command in (["simulate"], ["demo"], ["campaign"], ["calibrate"], ["tune"]):

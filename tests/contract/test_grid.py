@@ -1,7 +1,8 @@
 """Every number of scenarios, ticks, joints and devices, with every observer, controller and scheme.
 
-By default a few small programs in which every observer, controller and scheme but the filter, and both ends of the other
-axes occur; with ``-m slow`` each entry point goes through all of them. In float32, as the library runs.
+A few small programs of each entry point, in which every observer, controller and scheme but the filter, and both ends of
+the other axes occur: those of ``simulate`` by default, the others among the thorough tests. With ``-m slow`` each entry
+point goes through all of them. In float32, as the library runs.
 The gradient of the cascade takes longest to compile: ``test_tuning_gradients.py`` has it in batches of 8,
 ``test_lower_bounds.py`` of 16; seven joints are in ``test_robot_doors.py``.
 """
@@ -140,6 +141,7 @@ def watched(trace):
     return trace._replace(out={k: v for k, v in trace.out._asdict().items() if not k.startswith("threshold")})
 
 
+@pytest.mark.thorough
 @through(CAMPAIGN, LARGER_CAMPAIGN)
 def test_campaign(row):
     """Each row is that of a replay and of a campaign of other scenarios, to the bit."""
@@ -157,6 +159,7 @@ def test_campaign(row):
     assert_finite(watched(trace))
 
 
+@pytest.mark.thorough
 @through([row for row in CAMPAIGN if row.count > 1], [row for row in LARGER_CAMPAIGN if row.observer == "ts"])
 def test_calibrate(row):
     found = grid.calibrate(row)
@@ -178,6 +181,7 @@ def test_below_one_scenario_it_is_told():
         grid.calibrate(none._replace(count=1))
 
 
+@pytest.mark.thorough
 @through(FIT, LARGER_FIT)
 def test_fit(row):
     """Two steps that move the gains."""
@@ -192,6 +196,7 @@ def test_fit(row):
     assert_finite(terms)
 
 
+@pytest.mark.thorough
 def test_a_run_counts_the_same_in_batches_of_any_size():
     some, start = grid.scenarios(FIT[-1]), jaxftc.default_gains(grid.config(FIT[-1]))
     one, other = (Problem(grid.config(FIT[-1]), OBJECTIVE, grid.key(), batch).scores(start, some) for batch in (8, 16))

@@ -159,6 +159,7 @@ def test_it_is_run_with_the_tick(observer):
         tau = ours.tau
 
 
+@pytest.mark.thorough
 def test_it_is_tuned(pd):
     """Its own gains and nothing else; a search needs no gradient to be compiled."""
     assert tuning.tunable(pd) == ("own.kp", "own.kd", "own.weight")

@@ -158,6 +158,7 @@ def moved():
     return config, jax.tree.map(np.asarray, trace)
 
 
+@pytest.mark.thorough
 def test_a_locked_joint_stays_where_it_was(moved):
     config, trace = moved
     onset = round(0.15 / config.dt)
@@ -203,6 +204,7 @@ def test_sampled_scenarios_have_a_leading_axis_and_their_ids(config):
     np.testing.assert_array_equal(scenarios.id, np.arange(10))
 
 
+@pytest.mark.thorough
 def test_noise_depends_on_the_id_not_on_the_place(config):
     scenarios = jaxftc.sample_scenarios(jax.random.key(0), 8, preset="paper", config=config)
     key = jax.random.key(5)

@@ -145,6 +145,7 @@ def test_times_and_plant(many):
 # A scenario depends on the key and its id alone.
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["standard", "paper"])
 def test_neither_number_nor_order_nor_chunk_matter(config, name):
     key, preset = jax.random.key(3), load_preset(name)
