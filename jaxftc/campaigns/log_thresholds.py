@@ -149,7 +149,10 @@ def _thresholds(config: Config, found: _Peaks, level: _Level, torques: bool) -> 
     """
     widest = np.maximum(found.w.max(0), LEAST_JUMP)
     half_jump = np.maximum(widest * level.factor(np.maximum(found.w, LEAST_JUMP)), PUSHES * found.psi * config.dt**2)
-    of_readings = {"diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q), "observer.jump": 2 * half_jump}
+    of_readings: dict[str, np.ndarray | float] = {
+        "diagnosis.alpha_q": np.maximum(half_jump, LEAST_Q),
+        "observer.jump": 2 * half_jump,
+    }
     if not torques:
         return of_readings
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
