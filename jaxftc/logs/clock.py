@@ -49,6 +49,15 @@ def lost(t: np.ndarray, q: np.ndarray) -> np.ndarray:
     return out
 
 
+def filled(values: np.ndarray, gone: np.ndarray) -> np.ndarray:
+    """Values [rows, n] with straight lines where they are ``gone``, for what looks at the log before the diagnosis does."""
+    values = values.copy()
+    for j in np.flatnonzero(gone.any(0)):
+        at, there = np.flatnonzero(gone[:, j]), np.flatnonzero(np.isfinite(values[:, j]))
+        values[at, j] = np.interp(at, there, values[there, j])
+    return values
+
+
 def order(t: np.ndarray, whole: np.ndarray) -> Rows:
     """The rows that count: stamps that increase, every value there; cut at gaps and where the clock starts anew.
 

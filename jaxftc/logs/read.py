@@ -15,7 +15,7 @@ import numpy as np
 from jaxftc import checks
 from jaxftc.config import Config
 from jaxftc.logs.against_model import doubts
-from jaxftc.logs.clock import lost, order, resample
+from jaxftc.logs.clock import filled, lost, order, resample
 from jaxftc.logs.columns import Columns, find, listed
 from jaxftc.logs.formats import Table, table
 from jaxftc.logs.log import Log
@@ -128,7 +128,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     t = stamps(table, found, own_dt if options.dt is None else options.dt, q, notes)
     gone = lost(t, q) if options.faulty else np.zeros(q.shape, bool)
     mute = gone if tau is None else gone & ~np.isfinite(tau)
-    q, tau = _filled(q, gone), None if tau is None else _filled(tau, mute)
+    q, tau = filled(q, gone), None if tau is None else filled(tau, mute)
     for j in np.flatnonzero(gone.any(0)):
         rest = f"has no angle in {gone[:, j].sum()} rows, the first is row {gone[:, j].argmax() + 1}"
         notes.append(f"joint {j + 1} ({robot.joint_names[j]}) {rest}")
@@ -172,15 +172,6 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
         notes += noticed
     gone, mute = np.hsplit(absent > 0, 2)
     return log._replace(q=np.where(gone, np.nan, q), tau=np.where(mute, np.nan, torque), notes=tuple(notes))
-
-
-def _filled(values: np.ndarray, gone: np.ndarray) -> np.ndarray:
-    """Values [rows, n] with straight lines where they are ``gone``, for what looks at the log before the diagnosis does."""
-    values = values.copy()
-    for j in np.flatnonzero(gone.any(0)):
-        at, there = np.flatnonzero(gone[:, j]), np.flatnonzero(np.isfinite(values[:, j]))
-        values[at, j] = np.interp(at, there, values[there, j])
-    return values
 
 
 def slow_speed(log: Log) -> np.ndarray:
