@@ -59,7 +59,7 @@ def read(
         torque_per_ampere: N m for one ampere, one number or one a joint, where currents were recorded.
         check: Hold the columns against the model; ``False`` takes them as they are.
         faulty: The log may hold a fault: columns that do not fit the model are noted and not refused, and where a joint has
-            no angle for longer than five rows or 20 ms, the log has NaN; else such rows are left out.
+            no angle for more than five sample times and 20 ms, the log has NaN; else such rows are left out.
 
     Returns:
         The log; its ``notes`` say what was found and repaired. Without torques in the file, ``tau`` is NaN.
