@@ -17,6 +17,7 @@ sample time.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ from jaxftc.evaluation.intervals import check_shares, tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
-from jaxftc.schemes.diagnoser import SLOW, stiction
+from jaxftc.schemes.diagnoser import SLOW, Diagnosis, stiction
 
 BLOCK, SHORTEST = 1.0, 0.4  # s, over which the largest statistic is taken; that of logs too short for enough of these
 RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
@@ -83,7 +84,7 @@ def _noise_and_stiction(config: Config, gains: Gains, logs: list[Log]) -> tuple[
     """The noise, and what standing joints may hold by friction [n] N m; of a joint that never moved the usual share."""
     logs = [log._replace(jitter=None) for log in logs]  # what uneven stamps make of a motion is noise to the observer
     jumps, fastest = [], np.zeros(config.n)
-    for _, said in _diagnosed(config, _open(config, gains), logs):
+    for _, _, said in _diagnosed(config, _open(config, gains), logs):
         jumps.append(np.abs(said.jump[..., 0]))
         fastest = np.maximum(fastest, np.abs(said.qd_hat[..., 0]).max(0))
     noise = np.maximum(np.quantile(np.concatenate(jumps), 0.95, axis=0) / (1.96 * math.sqrt(6)), 1e-9)
@@ -127,7 +128,7 @@ def calibrate_on_logs(
     level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
     torques = any(np.isfinite(log.tau).any() for log in logs)
     gains = gains.replace(_thresholds(config, found, level, torques) | {"diagnosis.stiction": stiction})
-    seen = sum(int(_rises(np.asarray(said.verdict))) for _, said in _diagnosed(config, gains, logs))
+    seen = _alarms(config, gains, logs)
     promise = Promise(
         healthy_s=healthy,
         run_s=run,
@@ -229,40 +230,55 @@ def _open(config: Config, gains: Gains) -> Gains:
     return gains.replace(never)
 
 
-def _diagnosed(config: Config, gains: Gains, logs: list[Log]):
+def _diagnosed(config: Config, gains: Gains, logs: list[Log]) -> Iterator[tuple[int, int, Diagnosis]]:
+    """Which log, the tick of it that some of its diagnosis begins at, and that."""
     stream = Stream(config, gains)
-    for number, log in enumerate(logs, start=1):
+    for k, log in enumerate(logs):
         for first, said in stream.feed(log):
             for name in ("statistic_tau", "statistic_q", "jump"):
                 bad = ~np.isfinite(getattr(said, name))
                 if bad.any():
                     tick = first + int(np.argwhere(bad)[0][0])
-                    raise ValueError(
-                        f"log {number}: {name} is not finite at {tick * config.dt:.4g} s; look at the log there"
-                    )
-            yield first, said
+                    raise ValueError(f"log {k + 1}: {name} is not finite at {tick * config.dt:.4g} s; look at the log there")
+            yield k, first, said
 
 
 def _peaks(config: Config, gains: Gains, logs: list[Log], block: float) -> _Peaks:
-    """Largest statistics of every ``block`` s; what is left over at the end of a stretch counts as one."""
+    """Largest statistics of every ``block`` s, or so nearly that a stretch is cut into equal ones."""
     size = max(1, round(block / config.dt))
-    tau, w, speed, last = [], [], np.zeros(config.n), None
-    parts: list[tuple[np.ndarray, np.ndarray]] = []
-    for _, said in _diagnosed(config, gains, logs):
+    which, count = [], 0
+    for log in logs:
+        ids = np.zeros(len(log.q), int)
+        for start, stop in log.stretches:
+            parts = max(1, round((stop - start) / size))
+            ids[start:stop] = count + np.arange(stop - start) * parts // (stop - start)
+            count += parts
+        which.append(ids)
+    tau, w = np.zeros((count, config.n, len(RATES))), np.zeros((count, config.n))
+    speed = np.zeros(config.n)
+    for k, first, said in _diagnosed(config, gains, logs):
         rise = said.threshold_tau / np.float32(NEVER)  # by the motion; 1 where thresholds are constant
-        parts.append((np.abs(said.statistic_tau) / rise, np.abs(said.jump[..., 0])))
-        rate = np.abs(np.diff(said.qd_hat[..., 0], axis=0)) / config.dt
-        last = np.quantile(rate, 0.99, axis=0) if len(rate) else speed
-        speed = np.maximum(speed, last)
-    for torque, jump in parts:
-        for first in range(0, len(torque), size):
-            tau.append(torque[first : first + size].max(0))
-            w.append(jump[first : first + size].max(0))
-    return _Peaks(np.array(tau), np.array(w), speed)
+        ids = which[k][first : first + len(rise)]
+        _keep_largest(tau, ids, np.abs(said.statistic_tau) / rise)
+        _keep_largest(w, ids, np.abs(said.jump[..., 0]))
+        if len(rise) > 1:
+            rate = np.abs(np.diff(said.qd_hat[..., 0], axis=0)) / config.dt
+            speed = np.maximum(speed, np.quantile(rate, 0.99, axis=0))
+    return _Peaks(tau, w, speed)
 
 
-def _rises(verdict: np.ndarray) -> int:
-    """How often an alarm of the arm begins in verdicts [T, n]."""
-    up = np.any(verdict > 0, axis=1)
-    before = np.concatenate([[False], up[:-1]])
-    return int((up & ~before).sum())
+def _keep_largest(largest: np.ndarray, ids: np.ndarray, values: np.ndarray) -> None:
+    """Raise ``largest`` [blocks, ...] to ``values`` [T, ...] of the blocks ``ids`` [T], which do not fall."""
+    edges = np.flatnonzero(np.diff(ids, prepend=-1))
+    largest[ids[edges]] = np.maximum(largest[ids[edges]], np.maximum.reduceat(values, edges))
+
+
+def _alarms(config: Config, gains: Gains, logs: list[Log]) -> int:
+    """How often an alarm of the arm begins."""
+    count, before = 0, False
+    for k, first, said in _diagnosed(config, gains, logs):
+        up = np.any(np.asarray(said.verdict) > 0, axis=1)
+        before = before and all(first != start for start, _ in logs[k].stretches)  # a stretch begins anew
+        count += int((up & ~np.r_[before, up[:-1]]).sum())
+        before = bool(up[-1])
+    return count

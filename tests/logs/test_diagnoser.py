@@ -17,6 +17,7 @@ from jaxftc.cli.main import main
 from jaxftc.gains_file import save_gains
 from jaxftc.io import tables
 from jaxftc.logs import pieces
+from jaxftc.logs.diagnose import CHUNK
 from jaxftc.logs.log import Log
 from jaxftc.logs.timeline import Timeline
 from jaxftc.report.diagnosis import POINTS, Envelope
@@ -317,6 +318,20 @@ def test_seconds_of_healthy_motion_give_thresholds(config, calibration, log):
     assert (ratio > 0.3).all() and (ratio < 3).all()
     assert found.promise.method == "tail" and found.promise.at_most_per_hour > 1000
     assert events(config, found.gains, short).alarm_share == 0
+
+
+def test_where_the_diagnosis_of_a_log_is_cut_does_not_matter(config, calibration, arm):
+    """Blocks of a second and alarms go on from one call of the compiled program to the next."""
+    long = healthy(arm, 4, 90.0)
+    assert len(long.q) > 2 * CHUNK  # three calls, none of a whole number of seconds
+    opened = log_thresholds._open(config, calibration.gains)
+    found = log_thresholds._peaks(config, opened, [long, long], 1.0)
+    assert len(found.tau) == len(found.w) == 2 * 90
+    said = logs.diagnose(config, opened, long)
+    w = np.abs(said.jump[..., 0]).reshape(90, 100, 3).max(1)
+    np.testing.assert_array_equal(found.w, np.concatenate([w, w]))
+    always = calibration.gains.replace({"diagnosis.alpha_tau": 1e-9})
+    assert log_thresholds._alarms(config, always, [long, long]) == 2
 
 
 def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
