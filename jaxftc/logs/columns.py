@@ -15,6 +15,11 @@ from jaxftc.logs.formats import unit_named
 from jaxftc.logs.words import ANGLE, CURRENT, PARTIAL, TIME, TORQUE, WANTED, core
 
 _UNIT = re.compile(r"[\s_]*[\[(]\s*([^\[\]()]+?)\s*[\])]$|_([A-Za-z]+)$")
+_UNSURE = {  # behind an underscore these are units only in names of what has them: torque_a is of arm a, q_min a limit
+    "a": re.compile(r"curr|amp|^i[\W_]*\d*$", re.IGNORECASE),
+    "h": re.compile(r"time|stamp|elapsed|epoch|(^|_)t$", re.IGNORECASE),
+    "min": re.compile(r"time|stamp|elapsed|epoch|(^|_)t$", re.IGNORECASE),
+}
 _JOINT = r"joints?|j|axis|motor|actuators?|servos?"
 _INDEX = (
     re.compile(r"^(.*?)[\W_]*?(?:joint|j|(?<![A-Za-z])(?:a|axis))?[\W_]*(\d+)[\W_]*()$", re.IGNORECASE),  # q1, state.q[0]
@@ -123,10 +128,12 @@ def _plain(text: str) -> str:
 def _bare(name: str) -> tuple[str, str | float | None]:
     """A name without unit, lower case and without separators; and the unit."""
     found = _UNIT.search(name.strip())
-    unit = unit_named(found[1] or found[2]) if found else None
-    if found is None or unit is None:
+    if found is None or (unit := unit_named(found[1] or found[2])) is None:
         return _plain(name), None
-    return _plain(name.strip()[: found.start()]), unit
+    rest = name.strip()[: found.start()]
+    if found[2] in _UNSURE and not _UNSURE[found[2]].search(rest):
+        return _plain(name), None
+    return _plain(rest), unit
 
 
 def _last(name: str) -> str:

@@ -176,6 +176,12 @@ WRITTEN = {
         | our(table, "field.position{}", "field.effort{}", "field.header.stamp", first=0)
         | {"field.header.stamp": [1_700_000_000_000_000_000 + round(1e9 * t) for t in table["t"]]},
     ),
+    "the least and the mean of each joint beside it": lambda path, table: small_logs.write(
+        path, table | {f"{word}{k}_{of}": table["t"] for word in ("q", "tau") for k in (1, 2, 3) for of in ("min", "mean")}
+    ),
+    "current_a beside torque": lambda path, table: small_logs.write(
+        path, our(table) | {f"motor{k}_current_a": table["t"] for k in (1, 2, 3)}
+    ),
     "axes alone are angles": lambda path, table: small_logs.write(path, our(table, "A{}", "torque_A{}", "Time")),
     "joint names alone are angles": lambda path, table: small_logs.write(
         path, {"t": table["t"]} | {k.strip("_"): v for k, v in by_name(table, "{word}_{joint}", ("", "effort")).items()}
@@ -771,6 +777,19 @@ def test_the_arms_file_says_how_its_logs_are_read(arm, good, tmp_path):
     same(logs.read(path, Arm(arm, recording), columns={"t": "stamp"}), good)
     without_time = Recording(sample_time=0.01)
     same(logs.read(small_logs.write(tmp_path / "bare.csv", without(good, "t")), Arm(arm, without_time)), good)
+
+
+def test_a_letter_behind_a_name_is_no_unit_but_of_what_has_it(arm, good, tmp_path):
+    """Arms a and b of one file: ``tau1_a`` is no current; ``current1_a`` is one."""
+    named = {"t": "stamp"} | {
+        f"{word}{k}": f"{own}{k}_a" for word, own in (("q", "pos"), ("tau", "torque")) for k in (1, 2, 3)
+    }
+    path = small_logs.write(tmp_path / "log.csv", {named.get(key, key): value for key, value in good.items()})
+    log = logs.read(path, arm, columns=named)
+    same(log, good)
+    assert log.unit == "N m"
+    currents = {key.replace("tau", "current") + "_a" * key.startswith("tau"): value for key, value in good.items()}
+    assert logs.read(small_logs.write(tmp_path / "log.csv", currents), arm).unit == "A"
 
 
 def test_a_sign_that_is_given_is_turned(arm, good, tmp_path):
