@@ -162,15 +162,17 @@ class Even(NamedTuple):
     values: list[np.ndarray]  # [T, n] each
     segments: tuple[tuple[int, int], ...]  # [start, stop)
     jitter: np.ndarray  # [T] s, by which the time between readings may be wrong
+    rest: float  # s, from the last of these times to the last row
 
 
-def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
-    """The rows at every ``dt``, by straight lines between them."""
+def resample(rows: Rows, values: list[np.ndarray], dt: float, begin: float = 0.0) -> Even:
+    """The rows at every ``dt``, the first ``begin`` s after the first row, by straight lines between them."""
     times, out, segments, jitter, length = [], [[] for _ in values], [], [], 0
     for start, stop in zip(rows.starts, [*rows.starts[1:], len(rows.t)], strict=True):
         t = rows.t[start:stop]
-        ticks = int(np.floor((t[-1] - t[0]) / dt + 1e-3)) + 1  # stamps may be of single precision
-        grid = t[0] + dt * np.arange(ticks)
+        start_at = t[0] + (0.0 if times else begin)
+        ticks = int(np.floor((t[-1] - start_at) / dt + 1e-3)) + 1  # stamps may be of single precision
+        grid = start_at + dt * np.arange(ticks)
         even = len(t) == ticks and np.allclose(t, grid, rtol=0, atol=1e-6 + 1e-3 * dt)
         for column, value in zip(out, values, strict=True):
             part = value[start:stop]
@@ -180,7 +182,7 @@ def resample(rows: Rows, values: list[np.ndarray], dt: float) -> Even:
         segments.append((length, length + ticks))
         length += ticks
     joined = [np.concatenate(column) for column in out]
-    return Even(np.concatenate(times), joined, tuple(segments), np.concatenate(jitter))
+    return Even(np.concatenate(times), joined, tuple(segments), np.concatenate(jitter), float(rows.t[-1] - times[-1][-1]))
 
 
 def uneven(t: np.ndarray) -> np.ndarray:

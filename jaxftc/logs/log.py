@@ -34,6 +34,7 @@ class Log(NamedTuple):
     unit: str = "N m"  # of tau; another ("A", "%") where the torque for one is not known
     jitter: np.ndarray | None = None  # [T] s, by which the time between readings may be wrong; None: by nothing
     degrees: bool = False  # the file has its angles in degrees; q is in rad all the same
+    rest: float = 0.0  # s, from the last tick to the file's last row
 
     @property
     def stretches(self) -> tuple[tuple[int, int], ...]:

@@ -16,6 +16,7 @@ from jaxftc.logs.log import Log
 from jaxftc.logs.read import read
 
 PIECE = 200_000  # rows, at most
+SAME = 1e-2  # sample times that pass as none
 
 
 def rows(path: Path) -> int | None:
@@ -44,7 +45,7 @@ def pieces(
         return
     size = -(-count // -(-count // PIECE))  # all pieces alike, so that none is too short to be a log
     with tempfile.TemporaryDirectory() as folder:
-        begins, last, config = 0.0, None, None
+        start, last, config = 0.0, None, None
         for k, part in enumerate(_reader(path).cut(path, size, Path(folder))):
             try:
                 log = read(part, arm if config is None else config, **options)
@@ -57,15 +58,21 @@ def pieces(
             if last is None:
                 options |= {"recording": options.get("recording") or getattr(arm, "recording", None)}
                 options |= {"degrees": log.degrees or options.get("degrees")}
-            else:  # a piece takes the first row of the next one with it: the same reading
+            else:
                 turns = 2 * np.pi * np.nan_to_num(np.round((last.q[-1] - log.q[0]) / (2 * np.pi)))  # NaN: no reading
                 log = log._replace(q=log.q + turns)
-            whole = len(log.stretches) == 1 and (k + 1) * size < count
-            t, jitter = (None if part is None else part[:-1] for part in (log.t, log.jitter))
-            kept = log._replace(q=log.q[:-1], tau=log.tau[:-1], t=t, jitter=jitter, segments=())
-            yield (kept if whole else log), begins, last is not None and len(last.stretches) == 1
-            begins += float(log.t[-1]) if log.t is not None else len(log.q) * config.dt
-            last = log
+            t = config.dt * np.arange(len(log.q)) if log.t is None else log.t
+            begins, follows = start + float(t[0]), last is not None and len(last.stretches) == 1
+            start, last = start + float(t[-1]) + log.rest, log
+            more = len(log.stretches) == 1 and (k + 1) * size < count  # the next piece begins with the last row of this one
+            between = more and log.rest > SAME * config.dt
+            options["begin"] = config.dt - log.rest if between else 0.0
+            yield _less_last(log) if more and not between else log, begins, follows
+
+
+def _less_last(log: Log) -> Log:
+    t, jitter = (None if part is None else part[:-1] for part in (log.t, log.jitter))
+    return log._replace(q=log.q[:-1], tau=log.tau[:-1], t=t, jitter=jitter, segments=())
 
 
 def _reader(path: Path) -> Any:

@@ -45,6 +45,7 @@ def read(
     torque_per_ampere: float | Sequence[float] | None = None,
     check: bool = True,
     faulty: bool = False,
+    begin: float = 0.0,
 ) -> Log:
     """A recorded motion, at even times.
 
@@ -60,6 +61,7 @@ def read(
         check: Hold the columns against the model; ``False`` takes them as they are.
         faulty: The log may hold a fault: columns that do not fit the model are noted and not refused, and where a joint has
             no angle for more than five sample times and 20 ms, the log has NaN; else such rows are left out.
+        begin: s after the file's first row, at which the log begins; so a file goes on at even times from another.
 
     Returns:
         The log; its ``notes`` say what was found and repaired. Without torques in the file, ``tau`` is NaN.
@@ -79,7 +81,7 @@ def read(
     try:
         columns = _with_recorded(columns, recording, cells)
         options = _Options(
-            columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check, faulty
+            columns, dt, config.dt if config and dt is None else dt, degrees, torque_per_ampere, check, faulty, begin
         )
         return _log(cells, robot, recording, options)
     except ValueError as error:
@@ -94,6 +96,7 @@ class _Options(NamedTuple):
     torque_per_ampere: float | Sequence[float] | None
     check: bool
     faulty: bool
+    begin: float  # s
 
 
 def _with_recorded(given: Mapping[str, str] | None, recording: Recording, table: Table) -> Mapping[str, str] | None:
@@ -153,13 +156,13 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
             f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
             f"what lies between its rows is not known, so take dt = {rows.dt:g}"
         )
-    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau, absent], step)
+    even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau, absent], step, options.begin)
     q, torque, absent = even.values
     notes += still(robot, q)
     if len(q) < LEAST_ROWS:
         raise ValueError(f"the log has {len(q)} rows at {1e3 * step:.4g} ms, at least {LEAST_ROWS} are needed")
     jitter = np.minimum(even.jitter, UNSURE * timing_error(q, step))  # stamps may be uneven and right
-    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter, degrees=degrees)
+    log = Log(q, torque, even.t, step, even.segments, unit=unit, jitter=jitter, degrees=degrees, rest=even.rest)
     if tau is not None and options.check:
         wrong, noticed = doubts(
             robot, q, slow_speed(log), torque, raw=unit != "N m", degrees=degrees, named=any(found.units["angle"])

@@ -540,6 +540,21 @@ def test_a_long_recording_is_read_piece_by_piece(files, arm, config, monkeypatch
     assert [goes_on for *_, goes_on in found] == [False, True]
 
 
+@pytest.mark.parametrize("rate", [96.0, 100.0, 104.0], ids=lambda rate: f"{rate:g} Hz")
+def test_pieces_of_a_log_at_another_rate_meet_at_even_times(arm, config, monkeypatch, tmp_path, rate):
+    """Rows that come when they like give ticks ``dt`` apart, from one piece to the next as well."""
+    table = small_logs.table(arm_file(arm), 16.0, rate, 5)
+    stamps = table["t"] + np.random.default_rng(5).uniform(-0.2, 0.2, len(table["t"])) / rate
+    path = small_logs.write(tmp_path / "log.csv", table | {"t": stamps - stamps[0]})
+    whole = logs.read(path, config, check=False)
+    monkeypatch.setattr(pieces, "PIECE", 500)
+    found = list(pieces.pieces(path, config, lambda dt: config, check=False))
+    assert len(found) > 2 and all(goes_on for *_, goes_on in found[1:])
+    t = np.concatenate([begins + log.t - log.t[0] for log, begins, _ in found])
+    np.testing.assert_allclose(np.diff(t), DT, rtol=0.02)
+    np.testing.assert_allclose(np.concatenate([log.q for log, *_ in found]), whole.q[: len(t)], atol=5e-4)
+
+
 def test_pieces_that_do_not_agree_are_refused_by_row(files, arm, config, monkeypatch, tmp_path):
     monkeypatch.setattr(pieces, "PIECE", 800)
     head, *rows = (files / "log.csv").read_text().splitlines()
