@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import logging
 import threading
+import weakref
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,6 +20,8 @@ from jaxftc.compile import program_cache, xla
 from jaxftc.compile.xla import Kind
 
 PATIENCE = 20.0  # s of compiling after which it is said
+FULL = 0.8  # share of the memory maps that a process may have
+MAPS, MOST_MAPS = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")  # a line a map; their number. On Linux
 _log = logging.getLogger("jaxftc")
 
 
@@ -73,6 +78,7 @@ class _Jitted:
         self._inlined = jax.jit(fun, static_argnums=self._static)
         self._programs: dict[Any, Any] = {}
         self._lock = threading.Lock()
+        _functions.add(self)
 
     def __call__(self, *args: Any) -> Any:
         """The function's results."""
@@ -87,11 +93,17 @@ class _Jitted:
             program_cache.setting("enable_x64"),
             tuple((jax.typeof(leaf), _placement(leaf)) for leaf in leaves),
         )
-        if kind not in self._programs:
+        program = self._programs.get(kind)
+        if program is None:
             with self._lock:  # threads that meet here need the same program
-                if kind not in self._programs:
-                    self._programs[kind] = self._compile(static, arrays)
-        return self._programs[kind](*arrays)
+                program = self._programs.get(kind)
+                if program is None:
+                    program = self._programs[kind] = self._compile(static, arrays)
+        return program(*arrays)
+
+    def forget(self) -> None:
+        """Drop all programs; they are compiled again when they are needed."""
+        self._programs.clear()
 
     def _compile(self, static: tuple[Any, ...], arrays: tuple[Any, ...]) -> Callable[..., Any]:
         def fun(*arrays: Any) -> Any:
@@ -106,8 +118,26 @@ class _Jitted:
         return compiled(fun, arrays)
 
 
+_functions: weakref.WeakSet[_Jitted] = weakref.WeakSet()
+
+
+def _make_room() -> None:
+    """Forget all programs where the process is about to run out of memory maps: then XLA would end it.
+
+    A gradient of the closed loop takes two thousand maps, and Linux gives a process 65,530.
+    """
+    if not (MAPS.exists() and MOST_MAPS.exists()) or MAPS.read_bytes().count(b"\n") < FULL * int(MOST_MAPS.read_text()):
+        return
+    _log.info("forgetting compiled programs: the process has nearly all memory maps that it may have")
+    for function in list(_functions):
+        function.forget()
+    jax.clear_caches()
+    gc.collect()
+
+
 def _program(fun: Callable[..., Any], examples: Sequence[Any], *, kind: Kind, **kwargs: Any) -> Any:
     """``fun`` compiled for arguments like the examples; plainly where XLA cannot do it with our options."""
+    _make_room()
     with _said(getattr(fun, "__name__", "a program")):
         settings = xla.options(kind)
         if settings:

