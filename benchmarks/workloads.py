@@ -75,14 +75,18 @@ def plant(config: Config, begin: Starts, width: int, cores: int) -> Callable[[],
 
         return jax.lax.scan(body, (q, qd), None, length=config.ticks)[1]
 
-    program, pieces = jit(block), _pieces(begin, width)
+    program, pieces = jit(block, kind=closed_loop.program_kind(config.engine)), _pieces(begin, width)
     return lambda: over_cores(lambda piece: jax.block_until_ready(program(own, *piece)), pieces, cores)
 
 
 def dynamics(config: Config, begin: Starts, width: int, cores: int) -> Callable[[], Array]:
     """Forward dynamics [B, n] of the same arms, once."""
     own = _smooth(config, width)
-    program = jit(lambda q, qd, tau: arm.forward_dynamics(config.robot, q, qd, tau, config.engine, own))
+
+    def accelerations(q: jax.Array, qd: jax.Array, tau: jax.Array) -> jax.Array:
+        return arm.forward_dynamics(config.robot, q, qd, tau, config.engine, own)
+
+    program = jit(accelerations, kind=closed_loop.program_kind(config.engine))
     pieces = _pieces(begin, width)
     return lambda: np.concatenate(over_cores(lambda piece: np.asarray(program(*piece)), pieces, cores), axis=1).T
 

@@ -395,13 +395,26 @@ def test_the_gradient_that_is_timed_is_a_slope():
     assert slope_error() < 1e-4
 
 
+def quick(folder, *words):
+    """The result of a quick run of the command."""
+    command = [sys.executable, "-c", "from jaxftc.cli.main import main; main()", "bench", "--quick", "--json", *words]
+    environment = os.environ | {"XDG_CACHE_HOME": str(folder / "cache")}
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.thorough
+def test_both_engines_are_compiled_as_xla_can(tmp_path):
+    """With the command's flags, XLA before 0.12 ends the process on MJX in a batch unless it is compiled as such."""
+    rows = quick(tmp_path, "--sections", "dynamics")["tables"]["dynamics"]["rows"]
+    speeds = {row["library"]: row["arms/s"] for row in rows}
+    assert speeds["jaxftc, chain"] > 0 and speeds["jaxftc, mjx"] > 0
+
+
 @pytest.mark.slow
 def test_a_quick_run_measures_everything(tmp_path):
-    command = [sys.executable, "-c", "from jaxftc.cli.main import main; main()", "bench", "--quick", "--json"]
-    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment, check=False)
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    result = quick(tmp_path)
     measured = {row["key"]: row["value"] for row in result["metrics"]}
     assert measured.keys() >= PROMISED and all(np.isfinite(value) and value > 0 for value in measured.values())
     assert result["machine"]["cores"] and len(result["checks"]) > 10

@@ -221,9 +221,10 @@ def tune(tmp_path_factory):
 
     def call(out, own, *words):
         every = [sys.executable, "-c", COMMAND, *TUNE, "--robot", str(home / "arm.xml"), "--out", str(out), *words]
-        pin = lambda: os.sched_setaffinity(0, own)  # noqa: E731
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-        return subprocess.Popen(every, env=environment, preexec_fn=pin, **pipes)
+        process = subprocess.Popen(every, env=environment, **pipes)
+        os.sched_setaffinity(process.pid, own)  # it has yet to import JAX, which counts its cores
+        return process
 
     return call
 
