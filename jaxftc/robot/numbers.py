@@ -66,6 +66,11 @@ class Numbers:
         """What each joint moves with the others held, motor included [n] kg m^2: the mean over the joints' ranges."""
         return np.diagonal(_inertia_matrices(self), axis1=1, axis2=2).mean(0)
 
+    @functools.cached_property
+    def acceleration_limit(self) -> np.ndarray:
+        """What the torque limit gives a joint with the others free [n] rad/s^2: the most over the joints' ranges."""
+        return self.torque_limit * np.diagonal(np.linalg.inv(_inertia_matrices(self)), axis1=1, axis2=2).max(0)
+
     @property
     def frictionless(self) -> bool:
         """Whether no joint has any friction or motor inertia."""

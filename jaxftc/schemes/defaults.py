@@ -34,6 +34,7 @@ from jaxftc.robot import dynamics, rigid_body
 
 DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
+LARGEST = 5e-3  # rad, a jump however light a joint is: an encoder that shifts by half of it is called a motor
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
 # Of control, where the arm is learned: what psi has yet to take up is a fault then, and hardly the model's error.
 ADAPTIVE = {"rate": 80.0, "speed_weight": 0.13}
@@ -107,13 +108,23 @@ def _factors(config: Config, today: dict[str, dict[str, Any]], pace: np.ndarray,
     factors |= {f"observer.{name}": pace for name in ("alpha_sm", "alpha_sm0")}
     factors |= {"observer.eps": pace**-2, "diagnosis.lead": pace**2, "diagnosis.alpha_tau": pace**-0.5}
     factors["control.rate"] = pace
-    factors["observer.jump"] = np.maximum(np.maximum(1.0, sigma), 2 * PUSH * config.dt**2 / today["observer"]["jump"])
+    factors["observer.jump"] = np.maximum(np.maximum(1.0, sigma), _pushed(config) / today["observer"]["jump"])
     for path in ("observer.leak", "diagnosis.leak_tau", "diagnosis.leak_q", "control.speed_weight", "baseline.speed_weight"):
         block, name = path.split(".")
         kept = 1 - today[block][name]
         factors[path] = (1 - kept**ticks) / (1 - kept)
     factors |= {"control.lam": 1 / slow, "baseline.kd": 1 / slow, "baseline.kp": slow**-2, "control.eps": wait}
     return factors | {"baseline.rate": pace, "diagnosis.rate": pace, "baseline.noise_y": np.maximum(sigma, 1e-3)}
+
+
+def _pushed(config: Config) -> np.ndarray:
+    """Jump [n] rad of which a torque fault makes no more than a half in a tick: half the torque limit, at least PUSH.
+
+    A joint without motor inertia may be lighter than its encoder can be told from; so the former ends at LARGEST.
+    """
+    limit = config.robot.acceleration_limit
+    known = np.where(np.isfinite(limit), np.minimum(limit * config.dt**2, LARGEST), 0.0)
+    return np.maximum(2 * PUSH * config.dt**2, known)
 
 
 def _placed(xi: np.ndarray, own: dict[str, np.ndarray], ticks: np.ndarray) -> dict[str, np.ndarray]:

@@ -33,6 +33,24 @@ def test_at_1_ms_the_numbers_are_those_of_the_gains():
             np.testing.assert_array_equal(getattr(getattr(made, block), name), wanted, err_msg=name)
 
 
+def test_a_light_arm_with_strong_motors_has_no_jump_for_its_torques():
+    """A quarter of the torque limit is a motor's fault, though it throws the joint by half of what is a jump elsewhere."""
+    arm = three_hinges()
+    strong = arm.replace(torque_limit=np.maximum(1.0, 2500 / arm.acceleration_limit) * arm.torque_limit)
+    own = jaxftc.Config(strong, t_final=0.3, duration=0.3, engine="chain")
+    gains, scenario = jaxftc.default_gains(own), jaxftc.paper_scenario("healthy", own)
+    trace = jaxftc.simulate(
+        own, gains, scenario.with_actuator_bias(3, 0.25 * strong.torque_limit[2], 0.1), jax.random.key(0)
+    )
+    seen = slice(int(np.argmax(trace.out.detected)), None)
+    assert (np.asarray(trace.out.verdict[seen, 2]) & 2 == 0).all() and (trace.out.fault_tau_hat[seen, 2] > 0).all()
+    assert trace.out.fault_tau_hat[250, 2] == pytest.approx(0.25 * strong.torque_limit[2], rel=0.1)
+    heavy = jaxftc.Config(arm.replace(torque_limit=arm.torque_limit * np.inf), engine="chain")
+    np.testing.assert_array_equal(jaxftc.default_gains(heavy).observer.jump, 1e-3)
+    lighter = jaxftc.Config(arm.replace(torque_limit=1e6 * arm.torque_limit), engine="chain")
+    np.testing.assert_array_equal(jaxftc.default_gains(lighter).observer.jump, 5e-3)
+
+
 @pytest.mark.parametrize("dt", RATES)
 def test_the_observer_is_stable_at_every_rate_with_every_encoder(dt):
     for given in [{}, *({"resolution": c} for c in COUNTS), *({"noise": s} for s in NOISES)]:
