@@ -154,7 +154,7 @@ def _log(table: Table, robot: Robot, recording: Recording, options: _Options) ->
     if rows.dt > SLOWER * step:
         raise ValueError(
             f"the log has a row every {1e3 * rows.dt:.4g} ms ({1 / rows.dt:.4g} Hz) and {1e3 * step:.4g} ms are wanted; "
-            f"what lies between its rows is not known, so take dt = {rows.dt:g}"
+            f"what lies between its rows is not known, so take dt = {rows.dt:g} and gains that were made with it"
         )
     even = resample(rows, [q, np.full_like(q, np.nan) if tau is None else tau, absent], step, options.begin)
     q, torque, absent = even.values
