@@ -120,7 +120,7 @@ def _factors(config: Config, today: dict[str, dict[str, Any]], pace: np.ndarray,
 def _pushed(config: Config) -> np.ndarray:
     """Jump [n] rad of which a torque fault makes no more than a half in a tick: half the torque limit, at least PUSH.
 
-    A joint without motor inertia may be lighter than its encoder can be told from; so the former ends at LARGEST.
+    It ends at LARGEST: on a joint without motor inertia the rule alone would leave no encoder fault to be seen.
     """
     limit = config.robot.acceleration_limit
     known = np.where(np.isfinite(limit), np.minimum(limit * config.dt**2, LARGEST), 0.0)
