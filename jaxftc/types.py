@@ -111,6 +111,9 @@ class Output(NamedTuple):
             used.
         force: [n, ...] N, size of a force on the link that the joint moves, where the verdict is a
             contact and the link is the last that it names; else 0.
+        unsure: [n, ...] 1 where what is said of the joint is a guess: fault, kind unknown; else 0.
+            The learned decision says it, and ``step`` where a state was lost. A joint that is called
+            normal beside an alarm may have it too.
     """
 
     tau: Array
@@ -130,3 +133,4 @@ class Output(NamedTuple):
     s: Array
     alpha_online: Array
     force: Array
+    unsure: Array

@@ -52,7 +52,7 @@ WIDTH = 256  # runs side by side
 MOMENTS = 6  # of a run, beside the two at which a verdict is scored
 LATEST = 0.45  # s after the alarm
 STEPS, BATCH, RATE, DECAY = 60_000, 2048, 3e-3, 1e-4
-DOUBT = np.log(0.62 / 0.38)  # log odds: a bit that is held to be set with 38 to 62 % is unsure
+DOUBT = np.log(0.64 / 0.36)  # log odds: a bit that is held to be set with 36 to 64 % is unsure
 MARGIN = 0.1  # of the range of what was shown, by which a moment may lie outside of it
 
 
@@ -106,8 +106,9 @@ def moments(config: jaxftc.Config, seed: int, runs: dict[str, int]) -> list[Mome
         laws = preset.motion, preset.plant, preset.encoder  # of healthy runs: presets that share them share thresholds
         if laws not in set_for:
             healthy = draw_all(preset, config, keys[0], jnp.arange(HEALTHY))
-            default = jaxftc.default_gains(dataclasses.replace(config, adaptive=False))  # faults compensated by psi alone
-            set_for[laws] = jaxftc.calibrate(config, default, healthy, keys[1], false_alarms=FALSE_ALARMS).gains
+            alone = jaxftc.default_gains(dataclasses.replace(config, adaptive=False))  # faults compensated by psi alone
+            gains = alone.replace({"diagnosis.lead": jaxftc.default_gains(config).diagnosis.lead})
+            set_for[laws] = jaxftc.calibrate(config, gains, healthy, keys[1], false_alarms=FALSE_ALARMS).gains
         scenarios = draw_all(preset, config, keys[2], jnp.arange(count))
         for first in range(0, count, WIDTH):
             some = take(scenarios, np.arange(first, first + WIDTH) % count)

@@ -85,7 +85,15 @@ def scores(
     check(config, gains, scenarios)
     checks.random_key("key", key)
     program, on = _program(stages.general(config), threshold.follows(gains.diagnosis)), stages.as_data(config)
-    return _in_blocks(scenarios, lambda piece: program(key, on, gains, piece)[0], done, at_a_time)
+    order = np.argsort(_onset(config, scenarios), kind="stable")
+    found = _in_blocks(take(scenarios, order), lambda piece: program(key, on, gains, piece)[0], done, at_a_time)
+    return jax.tree.map(lambda leaf: leaf[..., np.argsort(order)], found)
+
+
+def _onset(config: Config, scenarios: Scenario) -> np.ndarray:
+    """First onset [scenarios] s, infinite in a healthy run: until the first of a block the learned decision is not asked."""
+    true = online.truth(config, trail(scenarios))
+    return np.asarray(jnp.where(true.healthy, jnp.inf, true.onset))
 
 
 def torque_statistics(config: Config, gains: Gains, scenarios: Scenario, key: Array, every: int) -> np.ndarray:

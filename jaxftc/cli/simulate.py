@@ -191,14 +191,16 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
     from jaxftc.types import Verdict
 
     wanted, present = metrics.truth(trace)
-    scored = metrics.detection(config, trace["verdict"], wanted, present).verdict
+    found = metrics.detection(config, trace["verdict"], wanted, present)
+    unsure = np.zeros(config.n) if found.scored is None else trace["unsure"][found.scored]
     saturated = (np.abs(trace["tau"]) >= config.robot.torque_limit * (1 - 1e-6)).mean(0)
     joints = [
         {
             "joint": name,
             "fault_tau_rms_nm": metrics.rms(trace["fault_tau_hat"][:, j] - trace["fault_tau"][:, j]),
             "fault_q_rms_deg": math.degrees(metrics.rms(trace["fault_q_hat"][:, j] - trace["fault_q"][:, j])),
-            "verdict": Verdict(scored[j]).label,
+            "verdict": Verdict(found.verdict[j]).label,
+            "unsure": bool(unsure[j]),
             "truth": Verdict(wanted[j]).label,
             "tracking_rms_deg": math.degrees(metrics.rms(trace["q"][:, j] - trace["q_ref"][:, j])),
             "peak_torque_nm": float(np.abs(trace["tau"][:, j]).max()),
@@ -231,6 +233,9 @@ def table(title: str, result: dict[str, Any]) -> str:
             f"\nfirst alarm: {delay}; every joint's verdict right {1e3 * SETTLE:.0f} ms later: "
             f"{'yes' if result['isolated'] else 'no'}"
         )
+    guesses = ", ".join(joint["joint"] for joint in result["joints"] if joint["unsure"])
+    if guesses:
+        lines.append(f"kind unknown: what is said of {guesses} is a guess")
     if result["false_alarm_s"] is not None:
         lines.append(f"FALSE ALARM at {result['false_alarm_s']:.3f} s: an alarm was up where no fault was")
     limited = [f"{j['joint']} ({100 * j['saturated_share']:.0f} %)" for j in result["joints"] if j["saturated_share"] > 0]

@@ -44,6 +44,7 @@ class Decision(NamedTuple):
 
     verdict: Array  # [n, ...] int32, Eq. (18)
     sensors: SensorStatus
+    unsure: Array  # [n, ...] 1 where the verdict is a guess
 
 
 def init(config: Config, gains: Gains, q: Array) -> State:
@@ -61,11 +62,12 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     check_next, sensors = sensor_check.step(config, gains, state.check, checked)
     suspect = sensors.suspect > 0
     said, learned = verdict(alarms.tau & ~suspect, alarms.q | suspect), None
+    unsure = jnp.zeros_like(level)
     if state.learned is not None and inputs.residual_of_all is not None:
         shown = inputs.statistics, level, inputs.residual_of_all, inputs.estimate.e, inputs.estimate.absent
         asked = learned_decision.Inputs(*shown, alarms_next, check_next, sensors.suspect, said)
-        learned, said = learned_decision.step(config, gains, state.learned, asked)
-    return State(alarms_next, check_next, learned), Decision(said, sensors)
+        learned, (said, unsure) = learned_decision.step(config, gains, state.learned, asked)
+    return State(alarms_next, check_next, learned), Decision(said, sensors, unsure)
 
 
 def verdict(actuator: Array, sensor: Array) -> Array:

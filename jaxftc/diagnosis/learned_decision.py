@@ -11,7 +11,10 @@ remembers by leaky means and decaying peaks, whose times are in seconds.
 * The rule's verdict stays where the network names nothing or is unsure of a joint, where something that it looks at lies
   outside of what it was trained on, while a reading is absent, and until it has been asked since the fault began. Of a fault
   that has come back the network knows more than the rule, so there an unsure answer counts as well.
-* It is asked every ``PERIOD``; in between its last answer stands. The first answers to a fault stand as they are, later
+* Where it is unsure of a joint, or does not speak though asked, what is said is a guess, and that is said too: fault, kind
+  unknown. It is never taken for normal.
+* It looks every ``PERIOD``, and is asked as often for ``YOUNG``, later every ``LATER`` times; in between its last answer
+  stands. The first answers to a fault stand as they are, later
   ones are averaged: what wavers then is the moment, not the fault.
 
 ``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
@@ -35,12 +38,14 @@ from jaxftc.numerics import barrier
 from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
 
-PERIOD = 0.004  # s between two questions, at least a tick
+PERIOD = 0.004  # s between two looks, at least a tick
+YOUNG, LATER = 0.1, 3  # s after the first alarm in which every look is a question, and how many looks make one later
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
 RETURN = 0.3  # s in which an alarm that comes back on a joint is of the same fault
 HELD, LONGEST = 1.5, 0.15  # a fault that comes and goes stays named for so many times its longest gap, and s, at most
 EARLY = 0.05  # s after the first alarm in which answers stand as they are
 AVERAGED, BACK = 0.4, 0.1  # later ones are averaged over this share of the time since then, and s, at most
+SURE = math.log(0.8 / 0.2)  # log odds below which a bit is a guess
 ODDS = 6.0  # log odds beyond which all are alike in an average
 SOON = 0.06  # s, at which a time counts half
 MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
@@ -92,8 +97,8 @@ class State(NamedTuple):
     """All floats."""
 
     memory: Array  # [rows, n, ...] a Memory in one array: a tick from Python passes one faster than many
-    speaks: Array  # [n, ...] 1 where the answer counts, the same for all joints
-    wait: Array  # [n, ...] ticks until the next question
+    speaks: Array  # [n, ...] 1 where the answer counts, -1 where it does not, 0 without one; the same for all joints
+    wait: Array  # [n, ...] ticks until the next question to an old fault
     age: Array  # [n, ...] ticks since the first alarm of this fault
     quiet: Array  # [n, ...] ticks since the last one
     gap: Array  # [n, ...] ticks, longest time between two of them
@@ -112,6 +117,13 @@ class Inputs(NamedTuple):
     check: sensor_check.State
     suspect: Array  # [n, ...] 1 where the reading is held to be wrong
     verdict: Array  # [n, ...] int32, the rule's
+
+
+class Info(NamedTuple):
+    """What is said of each joint."""
+
+    verdict: Array  # [n, ...] int32
+    unsure: Array  # [n, ...] 1 where that is a guess
 
 
 def blank(q: Array) -> Memory:
@@ -137,20 +149,23 @@ def _unpacked(state: State) -> Memory:
 
 
 @box("Block 7: learned decision")
-def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Array]:
-    """State and verdict [n, ...] int32 of this tick. Comparisons: no gradient passes."""
+def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[State, Info]:
+    """What is said in this tick. Comparisons: no gradient passes."""
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    due = (state.wait <= 0).any()
-    memory, speaks = jax.lax.cond(due, lambda: _ask(config, gains, state, inputs), lambda: (state.memory, state.speaks))
-    wait = jnp.where(due, period(config), state.wait) - 1
-    state = state._replace(memory=memory, speaks=jnp.where(alarmed, speaks, state.speaks), wait=wait)
+    due = (state.wait % period(config) == 0).any()
+    memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
+    wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
+    state = state._replace(memory=memory, speaks=speaks, wait=wait)
     tau, q = memory[-2:]  # the last two of Memory
     held = alarmed | (state.quiet <= jnp.minimum(HELD * state.gap, LONGEST / config.dt)).all(0)
-    heard = held & (state.speaks > 0) & ~inputs.absent.any(0)
+    held = held & ~inputs.absent.any(0)
     named = (tau > 0) + 2 * (q > 0)
-    return state, jnp.where(heard, named.astype(inputs.verdict.dtype), inputs.verdict)
+    verdict = jnp.where(held & (state.speaks > 0), named.astype(inputs.verdict.dtype), inputs.verdict)
+    guess = (jnp.minimum(jnp.abs(tau), jnp.abs(q)) < SURE) | (state.speaks < 0) & (verdict > 0)
+    unsure = held & (verdict > 0).any(0) & (state.speaks != 0) & guess
+    return state, Info(verdict, unsure.astype(tau.dtype))
 
 
 def _count(config: Config, state: State, joints: Array) -> State:
@@ -179,30 +194,55 @@ def _forgotten(config: Config) -> float:
     return 1.0 + round(RETURN / config.dt)
 
 
-def _ask(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[Array, Array]:
-    """Memory with this moment and its answer in it, and whether the answer counts if there is an alarm."""
-    memory, seen = look(config, gains, _unpacked(state), inputs)
-    between = period(config) * config.dt
-    back = jnp.clip(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * between, BACK)  # s
+def _look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[Array, Array]:
+    """Memory with this moment in it, and where an answer is due with that; and ``State.speaks``.
+
+    The products of the network are most of the cost: it is not asked if no scenario hears the answer.
+    """
+    memory, now = remember(config, gains, _unpacked(state), inputs)
+    hears = (inputs.verdict > 0).any(0) & ((state.wait <= 0) | _young(config, state))
+    ask = lambda: _ask(config, gains, state, memory, now, inputs, hears)  # noqa: E731
+    return jax.lax.cond(hears.any(), ask, lambda: (_packed(memory), state.speaks))
+
+
+def _ask(
+    config: Config, gains: Gains, state: State, memory: Memory, now: Signals, inputs: Inputs, hears: Array
+) -> tuple[Array, Array]:
+    """Memory with this moment's answer in it, and ``State.speaks``, where ``hears`` [n, ...] bool."""
+    seen = shown(config, gains, memory, now, inputs)
+    between = period(config) * config.dt * jnp.where(_young(config, state), 1.0, LATER)
+    back = jnp.clip(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * PERIOD, BACK)  # s
     old = jnp.stack([memory.tau, memory.q])
     odds = old - jnp.expm1(-between / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
     known = familiar(gains.decision, seen) & ~inputs.absent.any(0)
     sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap > 0).all(0)
     speaks = known & sure & (odds > 0).any((0, 1))
-    tau, q = jnp.where(known & (inputs.verdict > 0).any(0), odds, old)
-    return _packed(memory._replace(tau=tau, q=q)), jnp.broadcast_to(speaks, state.speaks.shape).astype(state.speaks.dtype)
+    tau, q = jnp.where(known & hears, odds, old)
+    answer = jnp.where(speaks, 1.0, -1.0).astype(state.speaks.dtype)
+    return _packed(memory._replace(tau=tau, q=q)), jnp.where(hears, answer, state.speaks)
+
+
+def _young(config: Config, state: State) -> Array:
+    """Whether the fault began a short while ago, [n, ...] bool."""
+    return state.age < round(YOUNG / config.dt)
 
 
 def period(config: Config) -> int:
-    """Ticks from one question to the next."""
+    """Ticks from one look to the next."""
     return max(1, round(PERIOD / config.dt))
 
 
 def look(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[Memory, Array]:
     """The memory with this moment in it, and what the network is shown, [len(NAMES), n, ...]."""
-    dt, check, jump = period(config) * config.dt, inputs.check, gains.observer.jump
+    memory, now = remember(config, gains, memory, inputs)
+    return memory, shown(config, gains, memory, now, inputs)
+
+
+def remember(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[Memory, Signals]:
+    """The memory with this moment in it, and this moment."""
+    dt, jump = period(config) * config.dt, gains.observer.jump
     signed = inputs.statistics.tau / inputs.threshold_tau
-    peak = check.transient.peak
+    peak = inputs.check.transient.peak
     now = Signals(
         torque=_size(signed),
         innovation=_size(inputs.e / jump),
@@ -235,12 +275,12 @@ def look(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[
         since=jnp.where(own.any(0), memory.since + dt, jnp.zeros_like(memory.since)),
         own=jnp.where(own, memory.own + dt, 0.0),
     )
-    return memory, _shown(config, memory, now, inputs, jump)
+    return memory, now
 
 
-def _shown(config: Config, memory: Memory, now: Signals, inputs: Inputs, jump: Array) -> Array:
-    """What the network is shown, in the order of ``NAMES``."""
-    check, fast, slow, peaks = inputs.check, memory.fast, memory.slow, memory.peak
+def shown(config: Config, gains: Gains, memory: Memory, now: Signals, inputs: Inputs) -> Array:
+    """What the network is shown of this moment, [len(NAMES), n, ...] in the order of ``NAMES``."""
+    check, fast, slow, peaks, jump = inputs.check, memory.fast, memory.slow, memory.peak, gains.observer.jump
     age = check.transient.age * config.dt
     residual = _size(inputs.residual_tau / inputs.threshold_tau)
     alone = [

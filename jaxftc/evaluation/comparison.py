@@ -121,7 +121,11 @@ def as_text(found: dict[str, dict[str, Any]]) -> str:
     star = f" {BEST}" if len(found) > 1 else ""
     tables = [*aligned(HEAD, UNITS, cells(found)), NOTE + star, ""]
     tables += [*aligned(verdicts.HEAD, verdicts.UNITS, verdicts.cells(found)), verdicts.NOTE]
-    lines = [f"{name}: {line}" for name, result in found.items() for line in (calibrated(result), *thresholds(result))]
+    lines = [
+        f"{name}: {line}"
+        for name, result in found.items()
+        for line in (*verdicts.guesses(result), calibrated(result), *thresholds(result))
+    ]
     return "\n".join([*tables, *lines])
 
 

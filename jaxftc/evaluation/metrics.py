@@ -35,6 +35,7 @@ class Detection(NamedTuple):
     isolated: bool
     false_alarm_s: float | None
     verdict: np.ndarray  # [n] as scored
+    scored: int | None = None  # tick of that; None without a fault or an alarm
 
 
 def rms(x: np.ndarray) -> float:
@@ -83,7 +84,7 @@ def detection(config: Config, verdict: np.ndarray, wanted: np.ndarray, present: 
         return Detection(float("inf"), False, false_alarm_s, np.zeros_like(verdict[0]))
     at = min(int(alarms[0]) + round(SETTLE / config.dt), len(verdict) - 1)
     delay = (int(alarms[0]) - int(first)) * config.dt
-    return Detection(delay, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at])
+    return Detection(delay, bool((verdict[at] == wanted).all()), false_alarm_s, verdict[at], at)
 
 
 def chattering(tau: np.ndarray, limit: np.ndarray, dt: float) -> float:

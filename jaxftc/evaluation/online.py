@@ -69,6 +69,8 @@ class Score(NamedTuple):
     visible_at: Array  # s, first time that an oracle sees a fault
     visible: Array  # [n, ...] int32, what an oracle has seen when ``verdict`` is scored; without an alarm, ever
     visible_late: Array  # [n, ...] int32, the same for ``settled``
+    unsure: Array  # bool, any joint's part of ``verdict`` was a guess; not of a healthy run
+    unsure_late: Array  # bool, the same of ``settled``
     force: Array  # N, largest estimate of a contact's force in the tick that ``verdict`` is scored
     crossed: Array  # [levels, ...] s, when the alarm would have come with all thresholds times LEVELS
     healthy_tau: Array  # [n, ...] N m, largest statistic that lasted for an alarm before onset, over its threshold's rise
@@ -125,6 +127,8 @@ def init(config: Config, like: Array) -> State:
         "healthy_tau": jnp.zeros_like(like),
         "healthy_q": jnp.zeros_like(like),
         "lost": jnp.zeros(like.shape, bool),
+        "unsure": zero > 0,
+        "unsure_late": zero > 0,
     }
     held = jnp.zeros((config.alarm_ticks - 1, *like.shape), like.dtype)
     rough = jnp.zeros((2, *like.shape), like.dtype)
@@ -217,6 +221,7 @@ def _verdicts(
     sight = oracle.step(
         oracle.Sight(score.visible_at, score.visible, score.visible_late), tick, true.wanted, until, until_late
     )
+    unsure = (out.unsure > 0).any(0)
     found = {
         "isolated_at": _earliest(score.isolated_at, right >= enough, t - (enough - 1) * config.dt),
         "verdict": jnp.where(scoring, said | out.verdict, score.verdict),
@@ -225,6 +230,8 @@ def _verdicts(
         "visible_at": sight.at,
         "visible": sight.early,
         "visible_late": sight.late,
+        "unsure": jnp.where(scoring & ~true.healthy, unsure, score.unsure),
+        "unsure_late": jnp.where(settling & ~true.healthy, unsure, score.unsure_late),
         "force": jnp.where(scoring & ~true.healthy, out.force.max(0), score.force),
     }
     return found, risen, right

@@ -150,7 +150,8 @@ def _by_kind(rows: Table) -> dict[str, dict[str, Any]]:
 def _detection(rows: Table) -> dict[str, Any]:
     """Detection, and isolation among the detected, soon and settled; beside each share the ceiling, which an oracle reaches.
 
-    ``x_unseen`` is the share of what was missed, or wrong, that no oracle could have had right.
+    ``x_unseen`` is the share of what was missed, or wrong, that no oracle could have had right. ``unsure`` is the share of
+    verdicts that say that they are a guess, ``..._unsure`` and ``..._sure`` how many of these and of the others are right.
     """
     detected, seen = rows["detected"], np.isfinite(rows["visible_s"])
     found: dict[str, Any] = (
@@ -161,6 +162,10 @@ def _detection(rows: Table) -> dict[str, Any]:
             right, visible = (rows[f"{part}_{word}{when}"][detected] for word in ("right", "visible"))
             name = f"{ISOLATION[part]}{when}"
             found |= _share(name, right) | _ceiling(name, right, visible)
+    for when in ("", "_settled"):
+        unsure, kind = rows[f"unsure{when}"][detected], rows[f"kind_right{when}"][detected]
+        found |= {f"unsure{when}": _number(_mean(unsure)), f"isolation_kind{when}_unsure": _number(_mean(kind[unsure]))}
+        found[f"isolation_kind{when}_sure"] = _number(_mean(kind[~unsure]))
     return found
 
 

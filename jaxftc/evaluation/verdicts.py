@@ -36,6 +36,17 @@ def _row(name: str, result: dict[str, Any], kind: str, time: str) -> tuple[str, 
     return (name, *shares, *delays, named)
 
 
+def guesses(found: dict[str, Any]) -> list[str]:
+    """How many verdicts say that they are a guess, and how often they and the others name the right kind: a sentence, or none."""
+    parts = []
+    for when, moment in (("", SOON), ("_settled", LATE)):
+        if found[f"unsure{when}"]:
+            right = [show(found[f"isolation_kind{when}_{which}"], 100, 1) for which in ("unsure", "sure")]
+            share = show(found[f"unsure{when}"], 100, 1)
+            parts.append(f"{share} % at {moment} (their kind is right in {right[0]} %, that of the others in {right[1]} %)")
+    return [f"Fault, kind unknown: of {', '.join(parts)}."] if parts else []
+
+
 def show(x: float | None, factor: float, places: int, absent: str = "-") -> str:
     """A figure as text."""
     return absent if x is None else f"{factor * x:.{places}f}"

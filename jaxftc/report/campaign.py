@@ -176,7 +176,8 @@ def _ringed(scales: list[float]) -> dict[str, Any]:
 
 
 def _verdicts(found: dict[str, dict[str, Any]]) -> str:
-    return table(verdicts.HEAD, verdicts.cells(found), units=verdicts.UNITS) + f"<p>{verdicts.NOTE}</p>"
+    more = [f"<p>{name}: {line}</p>" for name, result in found.items() for line in verdicts.guesses(result)]
+    return table(verdicts.HEAD, verdicts.cells(found), units=verdicts.UNITS) + f"<p>{verdicts.NOTE}</p>" + "".join(more)
 
 
 def _kinds(result: dict[str, Any]) -> str:
@@ -230,5 +231,6 @@ def _fate(row: dict[str, Any]) -> str:
     if math.isinf(row["delay_s"]):
         return f"{text}missed{false}"
     blamed = f"joint {row['joint_hat']} first" if row["joint_hat"] else "no joint"
+    guess = ", a guess" if row["unsure"] else ""
     after, later = (f"{1e3 * seconds:.0f} ms" for seconds in (row["delay_s"], metrics.SETTLE))
-    return f"{text}alarm after {after}, {later} later said {row['kind_hat']}, {blamed}{false}"
+    return f"{text}alarm after {after}, {later} later said {row['kind_hat']}{guess}, {blamed}{false}"

@@ -293,4 +293,5 @@ def _report(
         s=law.s,
         alpha_online=law.alpha_online,
         force=judged.force,
+        unsure=found.decision.unsure,
     )

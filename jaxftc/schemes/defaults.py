@@ -36,8 +36,8 @@ DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
 LARGEST = 5e-3  # rad, a jump however light a joint is: an encoder that shifts by half of it is called a motor
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
-# Of control, where the arm is learned: what psi has yet to take up is a fault then, and hardly the model's error.
-ADAPTIVE = {"rate": 80.0, "speed_weight": 0.13}
+# Where the arm is learned what psi has yet to take up is a fault, and hardly the model's error: it is compensated, and judged.
+ADAPTIVE = {"control": {"rate": 80.0, "speed_weight": 0.13}, "diagnosis": {"lead": 5000.0}}
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
 
@@ -66,7 +66,8 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
         if spec.default is not None:
             values[block][name] = np.broadcast_to(spec.default, shape_of(config, spec))
     if config.adaptive and config.observer == "ts" and config.control == "afesmc":
-        values["control"] |= {name: np.full(config.n, value) for name, value in ADAPTIVE.items()}
+        for block, own in ADAPTIVE.items():
+            values[block] |= {name: np.full(config.n, value) for name, value in own.items()}
     for path, factor in _factors(config, values, pace, sigma).items():
         block, name = path.split(".")
         values[block][name] = values[block][name] * factor

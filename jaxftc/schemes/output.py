@@ -57,4 +57,5 @@ def output(
         s=zero,
         alpha_online=jnp.ones_like(q),
         force=zero,
+        unsure=zero,
     )

@@ -96,7 +96,9 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
     state = jax.lax.cond(lost.any(), anew, lambda: state)
     state, out = tick(config, gains, state, reference, measurement, None)
     return state, out._replace(
-        verdict=jnp.where(lost, Verdict.UNKNOWN, out.verdict).astype(out.verdict.dtype), detected=out.detected | lost
+        verdict=jnp.where(lost, Verdict.UNKNOWN, out.verdict).astype(out.verdict.dtype),
+        detected=out.detected | lost,
+        unsure=jnp.where(lost, 1.0, out.unsure),
     )
 
 

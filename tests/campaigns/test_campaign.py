@@ -421,12 +421,15 @@ def test_a_damaged_chunk_is_named_by_a_replay(folder, refused, tmp_path):
     assert not (tmp_path / "replay").exists()
 
 
+FLAGS = ("diverged", "false_alarm", "unsure", "unsure_settled")
+
+
 def table_of(**columns):
     """Rows of a summary, made by hand; what is not given is 1 throughout."""
     count = len(columns["kind"])
     names = {*summary.ERRORS, *summary.MORE, *summary.CROSSINGS, "isolated_s", "recovery_s", "healthy_ratio", "delay_s"}
     names |= {"visible_s", "complete_s"}
-    rest = dict.fromkeys(names, np.ones(count)) | {name: np.zeros(count, bool) for name in ("diverged", "false_alarm")}
+    rest = dict.fromkeys(names, np.ones(count)) | {name: np.zeros(count, bool) for name in FLAGS}
     parts = [
         f"{part}_{word}{when}" for part in summary.ISOLATION for word in ("right", "visible") for when in ("", "_settled")
     ]

@@ -100,12 +100,20 @@ def test_ceilings_and_what_nobody_could_see_by_hand():
     for part in summary.ISOLATION:
         for when in ("", "_settled"):
             rows |= {f"{part}_right{when}": flag(0, 0, 1, 0, 0), f"{part}_visible{when}": flag(1, 0, 1, 1, 0)}
+    rows |= {name: flag(0, 0, 0, 1, 1) for name in ("unsure", "unsure_settled")}
     found = summary._detection(rows)
     assert found["detection"] == 0.6 and found["detection_ceiling"] == 0.6 and found["detection_unseen"] == 0.5
     for name in ("isolation_kind", "isolation_joint", "isolation", "isolation_settled"):
         assert found[name] == pytest.approx(1 / 3)
         assert found[f"{name}_ceiling"] == pytest.approx(2 / 3)
         assert found[f"{name}_unseen"] == pytest.approx(1 / 2)
+    assert found["unsure"] == pytest.approx(2 / 3)
+    assert (found["isolation_kind_unsure"], found["isolation_kind_sure"]) == (0, 1)
+    (said,) = verdicts.guesses(found)
+    assert said.startswith(
+        "Fault, kind unknown: of 66.7 % at 60 ms (their kind is right in 0.0 %, that of the others in 100.0 %)"
+    )
+    assert verdicts.guesses(found | {"unsure": 0.0, "unsure_settled": 0.0}) == []
     all_right = {name: np.ones(2, bool) if name != "visible_s" else np.zeros(2) for name in rows}
     assert summary._detection(all_right)["detection_unseen"] is None, "nothing was missed"
 

@@ -79,31 +79,40 @@ def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> learned_decisi
     )
 
 
-def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> np.ndarray:
-    """Verdicts [T, n]."""
+def ran(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> learned_decision.Info:
+    """What is said in every tick [T, n]."""
     start = learned_decision.init(config, gains, jnp.zeros(N))
     run = jax.jit(lambda g, s, i: jax.lax.scan(lambda s, i: learned_decision.step(config, g, s, i), s, i))
-    return np.asarray(run(gains, start, inputs)[1])
+    return jax.tree.map(np.asarray, run(gains, start, inputs)[1])
+
+
+def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> np.ndarray:
+    """Verdicts [T, n]."""
+    return ran(config, gains, inputs).verdict
 
 
 def test_it_says_what_its_twin_says(config, gains):
     """Asked every fourth tick: in between, and in the gaps of an alarm that came back, the last answer stands."""
-    x = signals()
+    x, gains = signals(), gains.replace({"decision.last": 2 * gains.decision.last})
     every = learned_decision.period(config)
     assert every == 4
     weights = {f.name: np.asarray(getattr(gains.decision, f.name)) for f in dataclasses.fields(DecisionGains)}
     twin = twins.Twin(N, every * config.dt, np.asarray(gains.observer.jump), np.asarray(gains.diagnosis.alpha_q))
-    speaker, odds = twins.Speaker(N, config.dt, 0.1, config.release_ticks), np.zeros((2, N))
-    inputs = inputs_of(config, x)
-    rule, expected = np.asarray(inputs.verdict), []
+    speaker = twins.Speaker(N, config.dt, 0.1, config.release_ticks, learned_decision.SURE)
+    inputs, odds = inputs_of(config, x), np.zeros((2, N))
+    rule, expected, guesses = np.asarray(inputs.verdict), [], []
     for k in range(TICKS):
         if k % every == 0:
             shown = twin.look({name: values[k] for name, values in x.items()})
             assert shown.shape[0] == len(learned_decision.NAMES)
             odds = twins.answer(weights, shown)
-        expected.append(speaker.say(rule[k], every * config.dt if k % every == 0 else 0.0, odds))
-    got = said(config, gains, inputs)
+        verdict, guess = speaker.say(rule[k], every * config.dt if k % every == 0 else 0.0, odds)
+        expected.append(verdict)
+        guesses.append(guess)
+    got, unsure = ran(config, gains, inputs)
     np.testing.assert_array_equal(got, expected)
+    np.testing.assert_array_equal(unsure, guesses)
+    assert 0.1 < unsure[got > 0].mean() < 0.9
     alarmed = (rule > 0).any(1)
     assert (got != rule)[alarmed].any(1).mean() > 0.4, "weights that say what the rule says would prove nothing"
     assert (got > 0)[~alarmed].any(), "nor would alarms that never come back"
@@ -144,7 +153,7 @@ def with_alarms(config: jaxftc.Config, alarms: np.ndarray, rule: np.ndarray | No
 
 def test_later_answers_are_averaged_and_first_ones_stand(config, gains):
     """Answers that change from one question to the next, mostly no, change the verdict of the first 0.1 s only."""
-    one_way = np.arange(400)[:, None] // 4 % 3 == np.array([[0, 3, 3]])
+    one_way = np.arange(400)[:, None] // 4 % 5 == np.array([[0, 5, 5]])
     one_way[:, 1] = True
     got = said(config, naming(gains), with_alarms(config, one_way, np.ones((400, N))))
     changes = np.flatnonzero((np.diff(got, axis=0) != 0).any(1))
@@ -207,8 +216,40 @@ def test_the_rule_s_verdict_stays(config, gains, why):
     else:  # alarms that rise and end between two questions
         between = jnp.arange(TICKS)[:, None] % 4 > 0
         inputs = inputs._replace(verdict=jnp.where(between, inputs.verdict, 0))
-    np.testing.assert_array_equal(said(config, gains, inputs), inputs.verdict)
-    assert (np.asarray(inputs.verdict) > 0).any()
+    verdict, unsure = ran(config, gains, inputs)
+    np.testing.assert_array_equal(verdict, inputs.verdict)
+    assert (verdict > 0).any()
+    asked = why in ("silent", "unsure", "unfamiliar")  # then the name is a guess, which is said once it has been asked
+    assert unsure[verdict > 0].any() == asked and not unsure[~(verdict > 0).any(1)].any()
+    if asked:
+        lasting = (verdict > 0) & (np.roll(verdict, 4, 0) > 0).any(1, keepdims=True)
+        assert unsure[lasting].all()
+
+
+def test_a_pattern_like_none_of_the_training_is_an_unknown_fault_and_not_normal(config, gains):
+    """Beyond the range of the training: the alarm stays, whatever the network would say of it."""
+    high = np.where(np.arange(len(learned_decision.NAMES)) == 0, -1.0, 1e6)
+    alarms = np.zeros((60, N), bool)
+    alarms[20:50, 1] = True
+    inputs = with_alarms(config, alarms)
+    for change, guess in ({}, False), ({"decision.high": high}, True):
+        verdict, unsure = ran(
+            config, naming(gains).replace({"decision.last_bias": -4.0, "decision.last": 8.0} | change), inputs
+        )
+        np.testing.assert_array_equal((verdict > 0).any(1), alarms.any(1))
+        np.testing.assert_array_equal(unsure[24:50, 1], float(guess))
+
+
+def test_an_answer_below_four_to_one_is_a_guess(config, gains):
+    """Of a joint that is named and of one that is called normal beside it."""
+    alarms = np.zeros((40, N), bool)
+    alarms[:, 1] = True
+    for odds, guess in (0.99 * learned_decision.SURE, True), (1.01 * learned_decision.SURE, False):
+        weights = naming(gains).replace({"decision.last_bias": -odds, "decision.last": 0.0})
+        weights = dataclasses.replace(weights.decision, last=weights.decision.last.at[0, 0].set(2 * odds))
+        verdict, unsure = ran(config, dataclasses.replace(gains, decision=weights), with_alarms(config, alarms))
+        np.testing.assert_array_equal(verdict[8:], np.tile([0, 1, 0], (32, 1)))
+        np.testing.assert_array_equal(unsure[8:], float(guess))
 
 
 def test_a_memory_in_seconds_is_the_same_at_any_sample_time(config, gains):
@@ -318,6 +359,21 @@ def rule_and_learned(preset: str) -> list[dict[str, np.ndarray]]:
         learned = jaxftc.calibrate(config, jaxftc.default_gains(config), healthy, jax.random.key(2)).gains
         rule = learned.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
         return [jaxftc.campaign(config, gains, runs, jax.random.key(4)) for gains in (rule, learned)]
+
+
+@pytest.mark.thorough
+def test_a_row_does_not_depend_on_the_runs_beside_it():
+    """A block is asked while any of its runs hears an answer, and each hears its own."""
+    with jax.enable_x64(False):
+        config = jaxftc.Config(two_hinges(), engine="chain", decision="learned")
+        runs = jaxftc.sample_scenarios(jax.random.key(3), RUNS, "hard", config=config)
+        gains = jaxftc.default_gains(config)
+        everything = jaxftc.campaign(config, gains, runs, jax.random.key(4))
+        picked = np.array([700, 3, 512, 90])
+        some = jaxftc.campaign(config, gains, jax.tree.map(lambda leaf: np.asarray(leaf)[picked], runs), jax.random.key(4))
+    assert everything["unsure"].any() and not everything["unsure"].all()
+    for name, column in everything.items():
+        np.testing.assert_array_equal(some[name], column[picked], err_msg=name)
 
 
 def right(rows, column: str) -> float:

@@ -80,34 +80,41 @@ class Twin:
 class Speaker:
     """What is made of the answers: averages of a fault's later ones, and its name in the gaps."""
 
-    def __init__(self, n: int, dt: float, doubt: float, release: int) -> None:
-        self.dt, self.doubt, self.release, self.odds = dt, doubt, release, np.zeros((2, n))
-        self.k, self.speaks = -1, False
+    def __init__(self, n: int, dt: float, doubt: float, release: int, certain: float) -> None:
+        self.dt, self.doubt, self.release, self.certain, self.odds = dt, doubt, release, certain, np.zeros((2, n))
+        self.k, self.looks, self.speaks = -1, -1, None
         self.alarms: list[int] = []
         self.joints: set[int] = set()
 
-    def say(self, rule: np.ndarray, ask: float, odds: np.ndarray) -> np.ndarray:
-        """Verdict [n] of a tick: the rule's [n], s from one question to the next or 0 without one, log odds [2, n]."""
+    def say(self, rule: np.ndarray, look: float, odds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Verdict [n] of a tick, and where it is a guess [n].
+
+        Of the rule's verdict [n], s from one look to the next or 0 without one, and log odds [2, n].
+        """
         self.k += 1
         joints = set(np.flatnonzero(rule))
         quiet = self.k - self.alarms[-1] - 1 if self.alarms else 0  # ticks before this one
         late = quiet * self.dt > RETURN + 1e-9 or ((quiet + 1) * self.dt > RETURN + 1e-9 and not joints)
         if late or (joints and quiet and not joints & self.joints):
-            self.alarms, self.joints, self.speaks = [], set(), False
+            self.alarms, self.joints, self.speaks = [], set(), None
         if joints:
             self.alarms.append(self.k)
             self.joints |= joints
         gaps = [b - a - 1 for a, b in zip(self.alarms, self.alarms[1:], strict=False)]
         gap = max([g for g in gaps if g >= self.release], default=0)
-        if ask and joints:
-            back = min(0.4 * ((self.k - self.alarms[0]) * self.dt - 0.05), 0.1)
-            self.odds += (1.0 if back <= 0 else 1 - math.exp(-ask / back)) * (np.clip(odds, -6, 6) - self.odds)
+        self.looks += look > 0
+        young = bool(self.alarms) and (self.k - self.alarms[0]) * self.dt < 0.1 - 1e-9
+        if look and joints and (young or self.looks % 3 == 0):
+            back, since = min(0.4 * ((self.k - self.alarms[0]) * self.dt - 0.05), 0.1), look if young else 3 * look
+            self.odds += (1.0 if back <= 0 else 1 - math.exp(-since / back)) * (np.clip(odds, -6, 6) - self.odds)
             sure = gap > 0 or (abs(self.odds) >= self.doubt).all()
             self.speaks = bool(sure and (self.odds > 0).any())
         quiet = self.k - self.alarms[-1] if self.alarms else math.inf
-        if self.speaks and (joints or quiet <= min(1.5 * gap, 0.15 / self.dt)):
-            return (self.odds[0] > 0) + 2 * (self.odds[1] > 0)
-        return rule
+        verdict, held = rule, joints or quiet <= min(1.5 * gap, 0.15 / self.dt)
+        if self.speaks and held:
+            verdict = (self.odds[0] > 0) + 2 * (self.odds[1] > 0)
+        guess = (abs(self.odds) < self.certain).any(0) | ((self.speaks is False) & (verdict > 0))
+        return verdict, guess & (self.speaks is not None and bool(held) and bool((verdict > 0).any()))
 
 
 def answer(weights: dict[str, np.ndarray], shown: np.ndarray) -> np.ndarray:

@@ -67,7 +67,7 @@ def score(config, scenario, trace, at_rest):
             isolated_at = t[k]
             break
 
-    force = 0.0
+    force, guesses = 0.0, (False, False)
     if healthy:
         said = np.bitwise_or.reduce(verdict, axis=0)
     elif np.isfinite(alarm_at):
@@ -80,6 +80,7 @@ def score(config, scenario, trace, at_rest):
     if not healthy and np.isfinite(alarm_at):
         last = max(first, min(first + 300, int(np.flatnonzero(t <= clear + 0.5 * dt)[-1])))
         settled = verdict[min(last, len(t) - 1)]
+        guesses = tuple(trace["unsure"][min(k, len(t) - 1)].any() for k in (first + 60, last))
     up = np.zeros(len(wanted), int)
     for k in range(len(t)):
         if t[k] >= onset:
@@ -130,6 +131,8 @@ def score(config, scenario, trace, at_rest):
         "visible_at": min(t[bits.any(1)], default=np.inf),
         "visible": visible,
         "visible_late": visible_late,
+        "unsure": guesses[0],
+        "unsure_late": guesses[1],
         "force": force,
         "crossed": np.array([min(t[window & up], default=np.inf) for up in rising]),
         "healthy_tau": lasting[early].max(0, initial=0),
