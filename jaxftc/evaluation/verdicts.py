@@ -37,7 +37,7 @@ def _row(name: str, result: dict[str, Any], kind: str, time: str) -> tuple[str, 
 
 
 def guesses(found: dict[str, Any]) -> list[str]:
-    """How many verdicts say that they are a guess, and how often they and the others name the right kind: a sentence, or none."""
+    """How many verdicts say that they are a guess, and how often they and the others are right: a sentence, or none."""
     parts = []
     for when, moment in (("", SOON), ("_settled", LATE)):
         if found[f"unsure{when}"]:

@@ -36,7 +36,7 @@ DT, NOISE = 1e-3, 3e-5  # s and rad that the numbers of ``gains`` are for
 PUSH = 100.0  # rad/s^2 that a torque fault may give a joint at once; twice that is a jump
 LARGEST = 5e-3  # rad, a jump however light a joint is: an encoder that shifts by half of it is called a motor
 SLOWEST = 0.01, 0.005  # s, sample times from which on the loop and its boundary layer are slowed
-# Where the arm is learned what psi has yet to take up is a fault, and hardly the model's error: it is compensated, and judged.
+# Where the arm is learned, what psi has yet to take up is hardly the model's error: it is compensated and judged as a fault.
 ADAPTIVE = {"control": {"rate": 80.0, "speed_weight": 0.13}, "diagnosis": {"lead": 5000.0}}
 MARGIN = 0.31  # of the integral gain at which the loop turns unstable, the share that the defaults take at 1 ms
 
@@ -48,7 +48,7 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
     """One set of gains that serves every scenario; the ARX read-out is the exact model of the nominal arm.
 
     Where the arm is learned by the complete cascade, actuator faults are compensated with a bandwidth of its own,
-    ``control.rate``: there the estimate is hardly the model's error, and the arm stays on its path.
+    ``control.rate``, and alarms come sooner by ``diagnosis.lead``: there the estimate is hardly the model's error.
 
     For ``input="torque"`` the read-out is that of an arm with the constant inertia it has in its zero position.
 
