@@ -11,10 +11,12 @@ from jax.test_util import check_grads
 
 import jaxftc
 from jaxftc import decision_gains
+from jaxftc.cli import simulate
 from jaxftc.compile.scalars import scalars
 from jaxftc.decision_gains import DecisionGains
 from jaxftc.diagnosis import alarm, learned_decision, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
+from jaxftc.evaluation import metrics
 from tests.arms import three_hinges, two_hinges
 from tests.twins import learned_decision as twins
 
@@ -286,6 +288,11 @@ def test_the_loop_has_finite_slopes_and_hears_nothing_of_it():
     np.testing.assert_array_equal(*(run.out.tau for run in runs))
     np.testing.assert_array_equal(*(run.out.detected for run in runs))
     assert (np.asarray(runs[0].out.verdict) != np.asarray(runs[1].out.verdict)).any()
+    trace = metrics.columns(runs[1])
+    trace["unsure"] = np.where(trace["verdict"] > 0, [0.0, 1.0], 0.0)
+    said = simulate.summary(config, trace, metrics.evaluate(config, trace))
+    assert [joint["unsure"] for joint in said["joints"]] == [False, True]
+    assert f"kind unknown: what is said of {config.robot.joint_names[1]} is a guess" in simulate.table("run", said)
     slopes = jax.grad(lambda g: (jaxftc.simulate(config, g, scenario, key).out.residual_tau ** 2).sum())(gains)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
     assert not any(np.any(leaf) for leaf in jax.tree.leaves(slopes.decision))
