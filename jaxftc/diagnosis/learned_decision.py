@@ -154,7 +154,8 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    due = (state.wait % period(config) == 0).any()
+    looks = period(config) * jnp.arange(LATER, dtype=state.wait.dtype)
+    due = (state.wait[..., None] == looks).any()  # a remainder of every number would cost more than all the rest
     memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
     wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=speaks, wait=wait)
