@@ -14,8 +14,8 @@ remembers by leaky means and decaying peaks, whose times are in seconds.
 * Where it is unsure of a joint, or does not speak though asked, what is said is a guess, and that is said too: fault, kind
   unknown. It is never taken for normal.
 * It looks every ``PERIOD``, and is asked as often for ``YOUNG``, later every ``LATER`` times; in between its last answer
-  stands. The first answers to a fault stand as they are, later
-  ones are averaged: what wavers then is the moment, not the fault.
+  stands. The first answers to a fault stand as they are, later ones are averaged: what wavers then is the moment, not the
+  fault.
 
 ``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
 """
@@ -154,8 +154,8 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    looks = period(config) * jnp.arange(LATER, dtype=state.wait.dtype)
-    due = (state.wait[..., None] == looks).any()  # a remainder of every number would cost more than all the rest
+    looks = [state.wait == k * period(config) for k in range(LATER)]  # a remainder would cost more than all the rest
+    due = jnp.stack(looks).any()
     memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
     wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=speaks, wait=wait)
