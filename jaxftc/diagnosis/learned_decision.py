@@ -22,6 +22,7 @@ remembers by leaky means and decaying peaks, whose times are in seconds.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import NamedTuple
 
@@ -98,7 +99,7 @@ class State(NamedTuple):
 
     memory: Array  # [rows, n, ...] a Memory in one array: a tick from Python passes one faster than many
     speaks: Array  # [n, ...] 1 where the answer counts, -1 where it does not, 0 without one; the same for all joints
-    wait: Array  # [n, ...] ticks until the next question to an old fault
+    wait: Array  # [n, ...] ticks until the next question to an old fault; this, age, quiet and gap the same for all joints
     age: Array  # [n, ...] ticks since the first alarm of this fault
     quiet: Array  # [n, ...] ticks since the last one
     gap: Array  # [n, ...] ticks, longest time between two of them
@@ -154,13 +155,13 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    looks = [state.wait == k * period(config) for k in range(LATER)]  # a remainder would cost more than all the rest
-    due = jnp.stack(looks).any()
+    looks = [state.wait[0] == k * period(config) for k in range(LATER)]  # a remainder would cost more than all the rest
+    due = functools.reduce(jnp.logical_or, looks).any()
     memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
     wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=speaks, wait=wait)
     tau, q = memory[-2:]  # the last two of Memory
-    held = alarmed | (state.quiet <= jnp.minimum(HELD * state.gap, LONGEST / config.dt)).all(0)
+    held = alarmed | (state.quiet[0] <= jnp.minimum(HELD * state.gap[0], LONGEST / config.dt))
     held = held & ~inputs.absent.any(0)
     named = (tau > 0) + 2 * (q > 0)
     verdict = jnp.where(held & (state.speaks > 0), named.astype(inputs.verdict.dtype), inputs.verdict)
@@ -175,7 +176,7 @@ def _count(config: Config, state: State, joints: Array) -> State:
     ``RETURN`` after its last alarm a fault is forgotten, or sooner if another joint's rises.
     """
     last, alarmed = _forgotten(config), joints.any(0)
-    another = alarmed & (state.quiet > 0).all(0) & ~(joints & (state.joints > 0)).any(0)
+    another = alarmed & (state.quiet[0] > 0) & ~(joints & (state.joints > 0)).any(0)
     quiet = jnp.where(alarmed, 0.0, jnp.minimum(state.quiet + 1, last))
     known = (quiet < last) & (state.quiet < last) & ~another
     over = alarmed & (state.quiet >= config.release_ticks)
@@ -203,7 +204,7 @@ def _look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[A
     memory, now = remember(config, gains, _unpacked(state), inputs)
     hears = (inputs.verdict > 0).any(0) & ((state.wait <= 0) | _young(config, state))
     ask = lambda: _ask(config, gains, state, memory, now, inputs, hears)  # noqa: E731
-    return jax.lax.cond(hears.any(), ask, lambda: (_packed(memory), state.speaks))
+    return jax.lax.cond(hears[0].any(), ask, lambda: (_packed(memory), state.speaks))
 
 
 def _ask(
@@ -216,7 +217,7 @@ def _ask(
     old = jnp.stack([memory.tau, memory.q])
     odds = old - jnp.expm1(-between / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
     known = familiar(gains.decision, seen) & ~inputs.absent.any(0)
-    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap > 0).all(0)
+    sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap[0] > 0)
     speaks = known & sure & (odds > 0).any((0, 1))
     tau, q = jnp.where(known & hears, odds, old)
     answer = jnp.where(speaks, 1.0, -1.0).astype(state.speaks.dtype)
@@ -299,7 +300,8 @@ def shown(config: Config, gains: Gains, memory: Memory, now: Signals, inputs: In
         *memory.rises,
     ]
     others = (now.torque, residual, peaks.torque, peaks.angle, slow.suspect, slow.jumped, fast.innovation)
-    return barrier.stack([*now, *fast, *slow, *peaks, *alone, *map(_largest_other, others)])
+    largest = barrier.unstack(_largest_other(barrier.stack(others, axis=1)))
+    return barrier.store(barrier.stack([*now, *fast, *slow, *peaks, *alone, *largest]))  # XLA would multiply row by row
 
 
 NAMES = (  # of what the network is shown
@@ -337,14 +339,14 @@ def _leaky(old: Array, x: Array, ticks: float) -> Array:
 
 
 def _largest_other(x: Array) -> Array:
-    """The largest of the other joints' [n, ...]; 0 for an arm of one joint."""
+    """The largest of the other joints' [n, k, ...], turned over: [k, n, ...]; 0 for an arm of one joint."""
     if len(x) == 1:
-        return jnp.zeros_like(x)
+        return jnp.zeros_like(x.swapaxes(0, 1))
     best = x.max(0)
     is_best = x >= best
     second = jnp.where(is_best, -jnp.inf, x).max(0)
     several = is_best.sum(0) > 1
-    return jnp.where(is_best & ~several, second, best)
+    return jnp.where(is_best & ~several, second, best).swapaxes(0, 1)
 
 
 def _column(x: Array, like: Array) -> Array:

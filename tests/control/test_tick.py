@@ -53,6 +53,14 @@ def test_every_scheme_has_one(config, scheme, backend):
     assert np.isfinite(out.tau).all() and np.isfinite(jax.device_get(state)).all()
 
 
+@pytest.mark.parametrize("decision, most", [("rule", 8), pytest.param("learned", 24, marks=pytest.mark.thorough)])
+def test_few_reductions_are_in_it(config, loop, decision, most):
+    """XLA allocates three buffers a call for each: one for every array of the state took as long as all the rest."""
+    config = dataclasses.replace(config, decision=decision)
+    tick = loop[0] if decision == "rule" else jaxftc.Tick(config, jaxftc.default_gains(config))
+    assert 0 < tick._step.as_text().count(" reduce(") <= most
+
+
 def test_what_is_not_one_arm_is_refused(config, loop):
     tick, _, reference, angles = loop
     state = tick.init(angles[0])
