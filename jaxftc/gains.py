@@ -85,6 +85,7 @@ class DiagnosisGains:
     leak_tau: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="l, forgetting of that mean per tick")
     leak_q: Array = gain("n", "1", 0.1, above=0.0, high=1.0, doc="the same in the encoder channel")
     rate: Array = gain("n", "1/s", 10.0, above=0.0, doc="bandwidth of the torque residual, for the Diagnoser")
+    fast: Array = gain("n", "1", 0.0, low=0.0, doc="weight of a faster residual beside that one, for the Diagnoser")
     stiction: Array = gain(
         "n", "N m", 0.0, low=0.0, doc="residual that a standing joint may hold by friction, for the Diagnoser"
     )

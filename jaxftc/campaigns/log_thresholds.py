@@ -10,8 +10,8 @@ series, the largest of all, and one factor.
 
 The rate of the momentum observer is chosen for each joint: slow, it averages what the model has wrong of friction and
 acceleration; fast, it sees a fault sooner. That rate is taken whose threshold is smallest, its delay counted in:
-alpha (1 + WAIT / rate). The jump is set above what healthy readings show, and above what a torque may do to a joint in one
-sample time.
+alpha (1 + WAIT / rate). Beside it stands the fastest, with so small a weight that healthy motions raise it as far. The jump
+is set above what healthy readings show, and above what a torque may do to a joint in one sample time.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ from jaxftc.evaluation.intervals import check_shares, tolerated
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
-from jaxftc.schemes.diagnoser import SLOW, Diagnosis, stiction
+from jaxftc.schemes.diagnoser import FAST, FASTEST, SLOW, Diagnosis, stiction
 
 BLOCK, SHORTEST = 1.0, 0.4  # s, over which the largest statistic is taken; that of logs too short for enough of these
-RATES = np.array([5.0, 8.0, 12.0, 20.0])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
-FASTEST = 0.3  # of the sample rate
+RATES = np.array([5.0, 8.0, 12.0, FAST])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
 WAIT = 2.0  # 1/s
 TAIL = 0.3  # share of the blocks that a tail is fitted to
 LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
@@ -124,10 +123,14 @@ def calibrate_on_logs(
             f"the logs hold {healthy:.3g} s; at least {LEAST_BLOCKS * SHORTEST:g} s of healthy motion are needed"
         )
     noise, stiction = _noise_and_stiction(config, gains, logs)
-    found = _peaks(config, _open(config, gains.replace({"diagnosis.stiction": stiction})), logs, block)
-    level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
+    gains = gains.replace({"diagnosis.stiction": stiction})
+    found = _peaks(config, _open(config, gains), logs, block)
     torques = any(np.isfinite(log.tau).any() for log in logs)
-    gains = gains.replace(_thresholds(config, found, level, torques) | {"diagnosis.stiction": stiction})
+    if torques:
+        gains = gains.replace(_bandwidths(config, found))
+        found = _peaks(config, _alike(config, gains), logs, block)
+    level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
+    gains = gains.replace(_thresholds(config, found, level, torques))
     seen = _alarms(config, gains, logs)
     promise = Promise(
         healthy_s=healthy,
@@ -143,8 +146,18 @@ def calibrate_on_logs(
     return LogCalibration(gains, promise, noise)
 
 
+def _bandwidths(config: Config, found: _Peaks) -> dict[str, np.ndarray]:
+    """The rate of each joint, and the weight of the fastest beside it."""
+    largest = _largest(config, found)
+    which = _best(largest, _rates(config))
+    return {
+        "diagnosis.rate": _rates(config)[which],
+        "diagnosis.fast": np.take_along_axis(largest, which[:, None], 1)[:, 0] / largest[:, -1],
+    }
+
+
 def _thresholds(config: Config, found: _Peaks, level: _Level, torques: bool) -> dict[str, np.ndarray | float]:
-    """Thresholds, the jump and the rate by gain: the largest statistics seen, times the level's factor.
+    """Thresholds and the jump by gain: the largest statistics seen with the bandwidths chosen, times the level's factor.
 
     Logs without ``torques`` say nothing of the torque channel, which stays as it is.
     """
@@ -156,17 +169,14 @@ def _thresholds(config: Config, found: _Peaks, level: _Level, torques: bool) -> 
     }
     if not torques:
         return of_readings
+    alpha_tau = _largest(config, found)[:, 0] * level.factor(found.tau[..., 0])
+    return of_readings | {"diagnosis.alpha_tau": alpha_tau, "diagnosis.lam_tau": 1.0}
+
+
+def _largest(config: Config, found: _Peaks) -> np.ndarray:
+    """The largest torque statistic [n, rates] N m, and no less than a motor can have wrong."""
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
-    largest = np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])  # [n, rates]
-    which = _best(largest, _rates(config))
-    scale = np.take_along_axis(largest, which[:, None], 1)[:, 0]
-    at_rate = np.broadcast_to(which[None, :, None], (len(found.tau), config.n, 1))
-    alpha_tau = scale * level.factor(np.take_along_axis(found.tau, at_rate, 2)[..., 0])
-    return of_readings | {
-        "diagnosis.alpha_tau": alpha_tau,
-        "diagnosis.lam_tau": 1.0,
-        "diagnosis.rate": _rates(config)[which],
-    }
+    return np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])
 
 
 class _Level:
@@ -224,10 +234,19 @@ def _best(largest: np.ndarray, rates: np.ndarray) -> np.ndarray:
 
 
 def _open(config: Config, gains: Gains) -> Gains:
-    """Gains with every rate side by side, and thresholds that nothing reaches."""
+    """Gains with every rate side by side and alone, and thresholds that nothing reaches."""
+    return _never(config, gains, np.tile(_rates(config), (config.n, 1)), np.zeros(config.n))
+
+
+def _alike(config: Config, gains: Gains) -> Gains:
+    """The gains' own rate, as often as there are rates, so that it is the same program; and the same thresholds."""
+    rate = np.repeat(np.asarray(gains.diagnosis.rate)[:, None], len(RATES), 1)
+    return _never(config, gains, rate, np.asarray(gains.diagnosis.fast))
+
+
+def _never(config: Config, gains: Gains, rate: np.ndarray, fast: np.ndarray) -> Gains:
     never = {"diagnosis.alpha_tau": NEVER, "diagnosis.alpha_q": NEVER, "observer.jump": NEVER, "diagnosis.lam_tau": 1.0}
-    never |= {"diagnosis.rate": np.tile(_rates(config), (config.n, 1))}
-    return gains.replace(never)
+    return gains.replace(never | {"diagnosis.rate": rate, "diagnosis.fast": fast})
 
 
 def _diagnosed(config: Config, gains: Gains, logs: list[Log]) -> Iterator[tuple[int, int, Diagnosis]]:

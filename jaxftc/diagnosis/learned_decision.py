@@ -343,7 +343,7 @@ def _largest_other(x: Array) -> Array:
     if len(x) == 1:
         return jnp.zeros_like(x.swapaxes(0, 1))
     best = x.max(0)
-    is_best = x >= best
+    is_best = x >= best[None]
     second = jnp.where(is_best, -jnp.inf, x).max(0)
     several = is_best.sum(0) > 1
     return jnp.where(is_best & ~several, second, best).swapaxes(0, 1)

@@ -85,7 +85,8 @@ class Applied(NamedTuple):
 def gains_used(config: Config) -> set[str]:
     """Names of the gains that the config's stages read."""
     on = stages_of(config)
-    unused = {name for name in NAMES if name.startswith("baseline.")} | {"diagnosis.rate", "diagnosis.stiction"}
+    unused = {name for name in NAMES if name.startswith("baseline.")}
+    unused |= {"diagnosis.rate", "diagnosis.fast", "diagnosis.stiction"}
     unused |= set() if on.fuzzy else set(takagi_sugeno.GAINS)
     unused |= set() if on.sliding else set(super_twisting.GAINS)
     unused |= set() if on.online else set(fuzzy_gain.GAINS)

@@ -7,6 +7,9 @@ the mean of two. Statistics, alarms and verdicts are the cascade's.
 
 * A joint that stands, or turns round, holds an unknown torque by friction, up to ``diagnosis.stiction``. What the residual
   exceeds that by is judged. Once it has stood for a while, so are changes of what it held.
+* What is wrong with a model lasts, so a slow residual has the lower threshold, and a fast one sees a large fault sooner.
+  ``diagnosis.fast`` is the slow one's threshold over the fast one's; of a joint that moves, whichever is more of its
+  threshold is judged.
 * The torque threshold follows the estimated motion, low-passed as the residual is: a model that is off by b |qd| gives a
   residual of at most b times the low-passed |qd|. A fault moves the arm too, so while there is an alarm of a joint its
   threshold may fall and not rise.
@@ -37,6 +40,7 @@ from jaxftc.types import Array
 
 SETTLE = 0.3  # s in which nothing is said of torques, at the start and after a reading that was wrong
 SLOW = 0.03  # rad/s, below which friction is not known but for its limit
+FAST, FASTEST = 20.0, 0.3  # 1/s, bandwidth of the fast residual, and in shares of the sample rate, at most
 OFFSET = 1.0  # s for which a joint that came to rest may hold anything by friction, and in which that is learned afterwards
 HELD = 0.06  # of the torque limit: what gears hold by friction, where the model does not say
 
@@ -48,6 +52,7 @@ class State(NamedTuple):
     residual: momentum.Observer
     tau: Array  # [n, ...] N m, last torque; not finite where it was not known
     offset: Array  # [n, ...] N m, part of the residual that friction holds
+    fast: Array  # [n, ...] N m, the same residual with the bandwidth FAST, of a joint that moves
     carried: Array  # [n, ...] N m, what the residual exceeded friction by when the joint slowed down, as far as it remembers
     slow: Array  # [n, ...] s since the joint came to rest, or turned round
     age: Array  # [n, ...] ticks since the torque residual began
@@ -95,6 +100,7 @@ def init(config: Config, gains: Gains, q: Array) -> State:
         residual=momentum.Observer(zero, *momentum.momentum(config.robot, q, zero)),
         tau=jnp.full_like(q, jnp.nan),
         offset=zero,
+        fast=zero,
         carried=zero,
         slow=zero,
         age=zero,
@@ -108,12 +114,15 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
     """One tick: pure, jit-able, vmap-able."""
     reading = kinematic.Inputs(measurement.q, state.alarm.q > 0, state.alarm.tau > 0, measurement.jitter)
     tracker, seen = kinematic.step(config, gains, state.tracker, reading)
-    residual, age = _balance(config, gains, state, seen, measurement.tau)
+    residual, fast, age = _balance(config, gains, state, seen, measurement.tau)
     offset, carried, slow = _offset(config, gains, state, residual.r, seen.qd_hat)
     settled = age * config.dt >= SETTLE
     watched = statistics.Inputs(jnp.where(settled, residual.r - offset, 0.0), seen.b)
-    means, statistic = statistics.step(config, gains, state.statistics, watched)
-    statistic = statistic._replace(tau=jnp.where(settled, statistic.tau, 0.0))
+    means, slower = statistics.step(config, gains, state.statistics, watched)
+    fast = jnp.where(slow > 0, residual.r - offset, fast)
+    slower = slower._replace(tau=jnp.where(settled, slower.tau, 0.0))
+    soon = jnp.where(settled, gains.diagnosis.fast * fast, 0.0)
+    statistic = slower._replace(tau=jnp.where(jnp.abs(soon) > jnp.abs(slower.tau), soon, slower.tau))
     motion, level = state.motion, jnp.broadcast_to(gains.diagnosis.alpha_tau, seen.q_hat.shape)
     if threshold.follows(gains.diagnosis):
         motion = _motion(config, gains, state, seen, tracker.psi)
@@ -122,7 +131,7 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
     lost = ~(jnp.isfinite(statistic.tau) & jnp.isfinite(statistic.q))  # cannot be judged, which is not normal
     bits = decision.verdict(alarms.tau | lost, alarms.q | seen.wrong | lost)
     pose = rigid_body.pose(config.robot, seen.q_hat)
-    verdict, force = contact.judge(config, contact.Inputs(pose, statistic.tau, level, bits))
+    verdict, force = contact.judge(config, contact.Inputs(pose, slower.tau, level, bits))
     said = Diagnosis(
         verdict=verdict,
         detected=(verdict > 0).any(0),
@@ -138,25 +147,30 @@ def step(config: Config, gains: Gains, state: State, measurement: Measurement) -
         qd_hat=seen.qd_hat,
         force=force,
     )
-    return State(tracker, residual, measurement.tau, offset, carried, slow, age, means, motion, alarms_next), said
+    return State(tracker, residual, measurement.tau, offset, fast, carried, slow, age, means, motion, alarms_next), said
 
 
 def _balance(
     config: Config, gains: Gains, state: State, seen: kinematic.Estimate, tau: Array
-) -> tuple[momentum.Observer, Array]:
-    """Momentum residual of this tick [n, ...] N m, and its age in ticks.
+) -> tuple[momentum.Observer, Array, Array]:
+    """Momentum residual of this tick [n, ...] N m, the fast one, and their age in ticks.
 
     A tick with a jump, or without a torque or a reading, tells nothing of the momentum. At first the residual is a mean of
     what there is; after a reading that was wrong, or a start in motion, it begins anew.
     """
     now, before = momentum.momentum(config.robot, seen.q_hat, seen.qd_hat), state.residual
     middle = before._replace(drift=0.5 * (before.drift + now[1]))
-    r = momentum.observe(gains.baseline, middle, now, 0.5 * (state.tau + tau), config.dt, _rate(config, gains, state)).r
+    quick = jnp.maximum(min(FAST, FASTEST / config.dt), _rate(config, gains, state))
+    r, fast = (
+        momentum.observe(gains.baseline, middle._replace(r=old), now, 0.5 * (state.tau + tau), config.dt, rate).r
+        for old, rate in ((before.r, _rate(config, gains, state)), (state.fast, quick))
+    )
     known = jnp.isfinite(state.tau) & jnp.isfinite(tau)
     blind = (seen.missing | (seen.h_s > 0.1)).any(0)
     anew = (seen.wrong | ~seen.known).any(0)
     age = jnp.where(anew, 0.0, state.age + known)
-    return momentum.Observer(jnp.where(anew, 0.0, jnp.where(known & ~blind, r, before.r)), *now), age
+    r, fast = (jnp.where(anew, 0.0, jnp.where(known & ~blind, new, old)) for new, old in ((r, before.r), (fast, state.fast)))
+    return momentum.Observer(r, *now), fast, age
 
 
 def _rate(config: Config, gains: Gains, state: State) -> Array:

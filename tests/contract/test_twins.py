@@ -153,7 +153,7 @@ def test_cascade_is_the_twin_over_many_ticks(observer, hard, paper_arm, rng):
 def test_statistic_is_the_twin(r, z, w, leak):
     config = jaxftc.Config(two_hinges(), engine="chain")
     values = {"alpha_tau": 2.0, "alpha_q": 0.1, "lead": 0.0, "lam_tau": w, "lam_q": 1.0, "leak_tau": leak, "leak_q": 0.5}
-    values |= {"rate": 10.0, "stiction": 0.0} | dict.fromkeys(threshold.FOLLOW, 0.0)
+    values |= {"rate": 10.0, "fast": 0.0, "stiction": 0.0} | dict.fromkeys(threshold.FOLLOW, 0.0)
     own = jaxftc.gains.DiagnosisGains(**{name: jnp.full(3, v) for name, v in values.items()})
     gains = dataclasses.replace(jaxftc.default_gains(config), diagnosis=own)
     start, inputs = statistics.State(jnp.asarray(z), jnp.zeros(3)), statistics.Inputs(jnp.asarray(r), jnp.asarray(r))

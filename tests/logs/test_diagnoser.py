@@ -21,6 +21,7 @@ from jaxftc.logs.diagnose import CHUNK
 from jaxftc.logs.log import Log
 from jaxftc.logs.timeline import Timeline
 from jaxftc.report.diagnosis import POINTS, Envelope
+from jaxftc.schemes import diagnoser
 from jaxftc.schemes.diagnoser import Diagnosis
 from tests import small_logs
 
@@ -123,6 +124,53 @@ def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fa
         assert (abs(event.size), event.unit) == (pytest.approx(sizes[fault.__name__][0], rel=0.15), sizes[fault.__name__][1])
 
 
+def test_the_fast_residual_is_a_low_pass_of_what_the_slow_one_sees(config, calibration, log):
+    """Its twin from the slow one alone; while a joint stands or turns round they are the same."""
+    weight, rate = 0.7, np.array([5.0, 12.0, 8.0])
+    alone = calibration.gains.replace({"diagnosis.rate": rate, "diagnosis.fast": 0.0, "diagnosis.stiction": 0.0})
+    tau = log.tau.copy()
+    tau[ON:, 1] -= 8.0
+    said = logs.diagnose(config, alone, log._replace(tau=tau))
+    slow, moves = said.fault_tau_hat, np.abs(said.qd_hat) >= diagnoser.SLOW
+    torque = slow[:-1] + np.diff(slow, axis=0) / -np.expm1(-rate * DT)
+    fast = slow.copy()
+    for k in range(1, len(slow)):
+        low_passed = fast[k - 1] - np.expm1(-diagnoser.FAST * DT) * (torque[k - 1] - fast[k - 1])
+        fast[k] = np.where(moves[k], low_passed, slow[k])
+    both = logs.diagnose(config, alone.replace({"diagnosis.fast": weight}), log._replace(tau=tau))
+    want = np.where(np.abs(weight * fast) > np.abs(slow), weight * fast, slow)[ON - 300 :]
+    np.testing.assert_allclose(both.statistic_tau[ON - 300 :], want, atol=2e-3)
+    assert (np.abs(want) > np.abs(slow[ON - 300 :]) + 0.1).any(), "the fast one counts somewhere"
+    np.testing.assert_array_equal(both.fault_tau_hat, slow, err_msg="the estimate is the slow one's")
+
+
+def test_a_fast_residual_that_is_the_slow_one_changes_nothing(config, calibration, log):
+    same = {"diagnosis.rate": diagnoser.FAST, "diagnosis.stiction": 0.0}
+    one, two = (logs.diagnose(config, calibration.gains.replace(same | {"diagnosis.fast": w}), log) for w in (0.0, 1.0))
+    np.testing.assert_allclose(one.statistic_tau, two.statistic_tau, atol=1e-5)
+
+
+def test_large_faults_are_seen_sooner_and_small_ones_no_later(config, calibration, log):
+    slow = calibration.gains.replace({"diagnosis.fast": 0.0})
+    weight, alpha = (np.asarray(getattr(calibration.gains.diagnosis, name)) for name in ("fast", "alpha_tau"))
+    assert (weight > 0.2).all() and (weight <= 1).all()
+
+    def delays(gains, size):
+        """Ticks [n] to the alarm of each joint."""
+        found = []
+        for joint in range(config.n):
+            tau = log.tau.copy()
+            tau[ON:, joint] -= size * alpha[joint]
+            verdict = logs.diagnose(config, gains, log._replace(tau=tau)).verdict
+            assert not verdict[:ON].any()
+            found.append(int(np.argmax(verdict[ON:, joint] > 0)))
+        return np.array(found)
+
+    small, large = ([delays(gains, size) for gains in (calibration.gains, slow)] for size in (1.5, 4.0))
+    assert (small[0] <= small[1]).all()
+    assert (large[0] <= large[1]).all() and (large[0] < large[1]).any(), large
+
+
 @pytest.mark.parametrize("columns", [("q2",), ("q2", "tau2")], ids=["angle", "angle and torque"])
 @pytest.mark.parametrize("last", [1100, 1600], ids=["comes back", "for good"])
 def test_an_encoder_that_falls_silent_in_a_file_is_an_event(config, calibration, log, tmp_path, columns, last):
@@ -171,7 +219,7 @@ def test_logs_without_torques_leave_the_torque_channel_as_it_is(config, calibrat
     bare = [log._replace(tau=np.full_like(log.tau, np.nan)) for log in (healthy(arm, seed, 24.0) for seed in (1, 2))]
     found = calibrate_on_logs(config, calibration.gains, bare, false_alarms=0.1, run=1.0)
     assert found.promise.method == "sample"
-    for name in ("alpha_tau", "rate", "lam_tau"):
+    for name in ("alpha_tau", "rate", "fast", "lam_tau"):
         np.testing.assert_array_equal(getattr(found.gains.diagnosis, name), getattr(calibration.gains.diagnosis, name))
     assert np.isfinite(found.gains.diagnosis.alpha_q).all() and np.isfinite(found.gains.observer.jump).all()
 
