@@ -342,10 +342,10 @@ def _largest_other(x: Array) -> Array:
     """The largest of the other joints' [n, k, ...], turned over: [k, n, ...]; 0 for an arm of one joint."""
     if len(x) == 1:
         return jnp.zeros_like(x.swapaxes(0, 1))
-    best = x.max(0)
-    is_best = x >= best[None]
-    second = jnp.where(is_best, -jnp.inf, x).max(0)
-    several = is_best.sum(0) > 1
+    best = x.max(0, keepdims=True)
+    is_best = x >= best
+    second = jnp.where(is_best, -jnp.inf, x).max(0, keepdims=True)
+    several = is_best.sum(0, keepdims=True) > 1
     return jnp.where(is_best & ~several, second, best).swapaxes(0, 1)
 
 
