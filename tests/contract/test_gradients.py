@@ -31,7 +31,8 @@ FUZZY_STAGE |= {f"observer.{channel}_{part}" for channel in ("tau", "jump") for 
 FUZZY_GAIN = {f"control.{name}" for name in ("q_centres", "q_widths", "s_centres", "s_widths", "outputs", "floor")}
 SUPER_TWISTING = {"observer.alpha_sm", "observer.alpha_sm0", "observer.eps"}
 ADAPTATION = {name for name in NAMES if name.startswith("adaptation.")}
-BASELINE = {name for name in NAMES if name.startswith("baseline.")} | {"diagnosis.rate", "diagnosis.stiction"}
+BASELINE = {name for name in NAMES if name.startswith("baseline.")}
+BASELINE |= {f"diagnosis.{name}" for name in ("rate", "fast", "stiction")}
 
 
 class Case(NamedTuple):
