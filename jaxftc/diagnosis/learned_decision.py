@@ -13,9 +13,9 @@ remembers by leaky means and decaying peaks, whose times are in seconds.
   that has come back the network knows more than the rule, so there an unsure answer counts as well.
 * Where it is unsure of a joint, or does not speak though asked, what is said is a guess, and that is said too: fault, kind
   unknown. It is never taken for normal.
-* It looks every ``PERIOD``, and is asked as often for ``YOUNG``, later every ``LATER`` times; in between its last answer
-  stands. The first answers to a fault stand as they are, later ones are averaged: what wavers then is the moment, not the
-  fault.
+* It looks every ``PERIOD``, and is asked at every second look for ``YOUNG``, at every fourth later; in between its last
+  answer stands. The first answers to a fault stand as they are, later ones are averaged: what wavers then is the moment, not
+  the fault.
 
 ``tuning/decision.py`` trains it. What it says goes to the verdict alone: observer and sensor check hear the rule.
 """
@@ -24,7 +24,8 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +41,8 @@ from jaxftc.numerics.batch import trailing
 from jaxftc.types import Array
 
 PERIOD = 0.004  # s between two looks, at least a tick
-YOUNG, LATER = 0.1, 3  # s after the first alarm in which every look is a question, and how many looks make one later
+YOUNG = 0.1  # s after the first alarm in which a fault is young
+SOONER, LATER = 2, 4  # looks from one question to the next, of a young fault and of an old one; the one divides the other
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
 RETURN = 0.3  # s in which an alarm that comes back on a joint is of the same fault
 HELD, LONGEST = 1.5, 0.15  # a fault that comes and goes stays named for so many times its longest gap, and s, at most
@@ -48,8 +50,12 @@ EARLY = 0.05  # s after the first alarm in which answers stand as they are
 AVERAGED, BACK = 0.4, 0.1  # later ones are averaged over this share of the time since then, and s, at most
 SURE = math.log(0.8 / 0.2)  # log odds below which a bit is a guess
 ODDS = 6.0  # log odds beyond which all are alike in an average
+GROUP = 32  # scenarios asked at a time
 SOON = 0.06  # s, at which a time counts half
 MOST = 30.0  # of a threshold, or of a jump's size, beyond which all sizes are alike: how far depends on the arm
+
+Answers = tuple[Array, Array, Array]  # [n, ...] Memory.tau, Memory.q, State.speaks
+T = TypeVar("T")
 
 
 class Signals(NamedTuple):
@@ -155,8 +161,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    looks = [state.wait[0] == k * period(config) for k in range(LATER)]  # a remainder would cost more than all the rest
-    due = functools.reduce(jnp.logical_or, looks).any()
+    due = _looks_until(config, state, range(LATER))[0].any()
     memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
     wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=speaks, wait=wait)
@@ -202,17 +207,38 @@ def _look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[A
     The products of the network are most of the cost: it is not asked if no scenario hears the answer.
     """
     memory, now = remember(config, gains, _unpacked(state), inputs)
-    hears = (inputs.verdict > 0).any(0) & ((state.wait <= 0) | _young(config, state))
-    ask = lambda: _ask(config, gains, state, memory, now, inputs, hears)  # noqa: E731
-    return jax.lax.cond(hears[0].any(), ask, lambda: (_packed(memory), state.speaks))
+    asked = (state.wait <= 0) | _looks_until(config, state, range(0, LATER, SOONER)) & _young(config, state)
+    hears, last = (inputs.verdict > 0).any(0) & asked, (memory.tau, memory.q, state.speaks)
+    seen_by = gains, state, memory, now, inputs, hears
+    ask = lambda: _of_some(hears[0], lambda some: _ask(config, *some), seen_by, last)  # noqa: E731
+    tau, q, speaks = jax.lax.cond(hears[0].any(), ask, lambda: last)
+    return _packed(memory._replace(tau=tau, q=q)), speaks
 
 
-def _ask(
-    config: Config, gains: Gains, state: State, memory: Memory, now: Signals, inputs: Inputs, hears: Array
-) -> tuple[Array, Array]:
-    """Memory with this moment's answer in it, and ``State.speaks``, where ``hears`` [n, ...] bool."""
+def _of_some(which: Array, ask: Callable[[T], Answers], asked: T, otherwise: Answers) -> Answers:
+    """What ``ask`` says of some scenarios, [...] bool, and ``otherwise`` of the others.
+
+    Of a long row of scenarios ``GROUP`` are asked at a time: few of them hear an answer in the same tick.
+    """
+    if which.ndim != 1 or len(which) <= GROUP:
+        return ask(asked)
+    order = jnp.argsort(~which)  # those first
+    place = jnp.argsort(order)
+
+    def group(k: Array, found: Answers) -> Answers:
+        some = jax.lax.dynamic_slice(order, [k * GROUP], [GROUP])
+        said = ask(jax.tree.map(lambda leaf: leaf[..., some] if leaf.shape[-1] == len(which) else leaf, asked))
+        put = functools.partial(jax.lax.dynamic_update_slice_in_dim, start_index=k * GROUP, axis=-1)
+        return jax.tree.map(put, found, said)
+
+    found = jax.lax.fori_loop(0, (which.sum() + GROUP - 1) // GROUP, group, otherwise)
+    return jax.tree.map(lambda new, old: jnp.where(which, new[..., place], old), found, otherwise)
+
+
+def _ask(config: Config, gains: Gains, state: State, memory: Memory, now: Signals, inputs: Inputs, hears: Array) -> Answers:
+    """``Memory.tau``, ``Memory.q`` and ``State.speaks`` with this moment's answer, where ``hears`` [n, ...] bool."""
     seen = shown(config, gains, memory, now, inputs)
-    between = period(config) * config.dt * jnp.where(_young(config, state), 1.0, LATER)
+    between = period(config) * config.dt * jnp.where(_young(config, state), SOONER, LATER)
     back = jnp.clip(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * PERIOD, BACK)  # s
     old = jnp.stack([memory.tau, memory.q])
     odds = old - jnp.expm1(-between / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
@@ -221,7 +247,13 @@ def _ask(
     speaks = known & sure & (odds > 0).any((0, 1))
     tau, q = jnp.where(known & hears, odds, old)
     answer = jnp.where(speaks, 1.0, -1.0).astype(state.speaks.dtype)
-    return _packed(memory._replace(tau=tau, q=q)), jnp.where(hears, answer, state.speaks)
+    return tau, q, jnp.where(hears, answer, state.speaks)
+
+
+def _looks_until(config: Config, state: State, looks: range) -> Array:
+    """Whether it is one of so many looks until the next question to an old fault, [n, ...] bool."""
+    there = [state.wait == k * period(config) for k in looks]  # a remainder would cost more than all the rest
+    return functools.reduce(jnp.logical_or, there)
 
 
 def _young(config: Config, state: State) -> Array:

@@ -21,6 +21,7 @@ from jaxftc.config import Config
 from jaxftc.evaluation import oracle
 from jaxftc.evaluation.metrics import RECOVERY, SETTLE
 from jaxftc.gains import Gains
+from jaxftc.numerics import barrier
 from jaxftc.numerics.batch import trailing
 from jaxftc.robot import lanes
 from jaxftc.scenarios.scenario import Scenario
@@ -281,6 +282,7 @@ def _high_pass(config: Config, state: Array, x: Array, t: Array) -> tuple[Array,
     k = math.tan(math.pi * ROUGH * config.dt)
     b = 1 / (1 + math.sqrt(2) * k + k * k)
     a1, a2 = 2 * (k * k - 1) * b, (1 - math.sqrt(2) * k + k * k) * b
-    first, second = jnp.where(t > 0, state, jnp.stack([-b * x, b * x]))
-    y = b * x + first
-    return jnp.stack([second - 2 * b * x - a1 * y, b * x - a2 * y]), y
+    moved = b * x
+    first, second = (jnp.where(t > 0, old, rest) for old, rest in zip(state, (-moved, moved), strict=True))
+    y = moved + first
+    return barrier.stack([second - 2 * moved - a1 * y, moved - a2 * y]), y

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxftc.numerics import barrier
 from jaxftc.simulation.closed_loop import Trace
 from jaxftc.types import Array, Verdict
 
@@ -42,7 +43,7 @@ def step(before: Sight, tick: Trace, wanted: Array, until: Array, until_late: Ar
     q = (jnp.abs(tick.fault_q) >= tick.out.threshold_q) | ~jnp.isfinite(tick.y)
     pushed = (jnp.abs(tick.contact_tau) >= tick.out.threshold_tau).any(0)
     now = Verdict.ACTUATOR * tau.astype(jnp.int32) + Verdict.SENSOR * q.astype(jnp.int32)
-    now = now | jnp.where(pushed, wanted & Verdict.CONTACT, 0)
+    now = barrier.store(now | jnp.where(pushed, wanted & Verdict.CONTACT, 0))  # else all of it again in the loop over joints
     return Sight(
         at=jnp.minimum(before.at, jnp.where((now > 0).any(0), tick.t, jnp.inf)),
         early=jnp.where(tick.t <= until, before.early | now, before.early),

@@ -3,9 +3,10 @@
 XLA:CPU compiles a step of thousands of small operations into loops, and draws the arithmetic of a value into the loop that
 reads it. Where rows with arithmetic of their own are joined in that loop, or a computed array is taken apart in it, the loop
 becomes a function with branches for every number and is no longer vectorised: five to ten times slower, in the forward run
-and in its reverse. So rows are computed before they are joined, and an array before it is taken apart. ``store`` is
-``lax.optimization_barrier``: it changes numbers by rounding at most, and it survives ``vmap`` and ``grad``. XLA:CPU strips
-barriers before it fuses, unless it is told not to (``compile/xla.py``).
+and in its reverse. The same goes for a sum or an ``any`` over joints: its inner loop is that over joints, and all that is
+drawn into it is computed number by number. So rows are computed before they are joined, and an array before it is taken
+apart or reduced. ``store`` is ``lax.optimization_barrier``: it changes numbers by rounding at most, and it survives
+``vmap`` and ``grad``. XLA:CPU strips barriers before it fuses, unless it is told not to (``compile/xla.py``).
 """
 
 from __future__ import annotations

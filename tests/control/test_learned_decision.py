@@ -17,6 +17,7 @@ from jaxftc.decision_gains import DecisionGains
 from jaxftc.diagnosis import alarm, learned_decision, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.evaluation import metrics
+from jaxftc.gains import align
 from tests.arms import three_hinges, two_hinges
 from tests.twins import learned_decision as twins
 
@@ -94,7 +95,9 @@ def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.In
 
 
 def test_it_says_what_its_twin_says(config, gains):
-    """Asked every fourth tick: in between, and in the gaps of an alarm that came back, the last answer stands."""
+    """Asked every eighth tick, of an old fault every 16th: in between, and in the gaps of an alarm that came back, the last
+    answer stands.
+    """
     x, gains = signals(), gains.replace({"decision.last": 2 * gains.decision.last})
     every = learned_decision.period(config)
     assert every == 4
@@ -118,6 +121,27 @@ def test_it_says_what_its_twin_says(config, gains):
     alarmed = (rule > 0).any(1)
     assert (got != rule)[alarmed].any(1).mean() > 0.4, "weights that say what the rule says would prove nothing"
     assert (got > 0)[~alarmed].any(), "nor would alarms that never come back"
+
+
+def test_many_scenarios_are_answered_as_each_alone(config, gains):
+    """Those that hear an answer are asked in groups: here one, several, or none."""
+    count, k = 2 * learned_decision.GROUP + 9, jnp.arange(TICKS)[:, None, None]
+    each = [inputs_of(config, signals(seed)) for seed in range(count)]
+    inputs = jax.tree.map(lambda *leaves: jnp.stack(leaves, -1), *each)
+    quiet = (k < 40) | (k >= 80) & (k < 160) & (jnp.arange(count) > 40)
+    inputs = inputs._replace(verdict=jnp.where(quiet, 0, jnp.where(k < 200, inputs.verdict, 1)))
+    hear = np.asarray((inputs.verdict > 0).any(1).sum(-1))[::8]
+    few = (hear > 0) & (hear <= learned_decision.GROUP)
+    assert (hear == 0).any() and few.any() and (hear == count).any()
+
+    def run(start, inputs, gains):
+        return jax.lax.scan(lambda s, i: learned_decision.step(config, gains, s, i), start, inputs)[1]
+
+    start = learned_decision.init(config, gains, jnp.zeros((N, count)))
+    together = jax.jit(run)(start, inputs, align(gains, 1))
+    single = jax.jit(jax.vmap(run, in_axes=(-1, -1, None), out_axes=-1))(start, inputs, gains)
+    np.testing.assert_array_equal(together.verdict, single.verdict)
+    np.testing.assert_array_equal(together.unsure, single.unsure)
 
 
 def test_a_fault_that_comes_and_goes_stays_named_in_its_gaps_and_no_longer(config, gains):

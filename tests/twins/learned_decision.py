@@ -104,8 +104,9 @@ class Speaker:
         gap = max([g for g in gaps if g >= self.release], default=0)
         self.looks += look > 0
         young = bool(self.alarms) and (self.k - self.alarms[0]) * self.dt < 0.1 - 1e-9
-        if look and joints and (young or self.looks % 3 == 0):
-            back, since = min(0.4 * ((self.k - self.alarms[0]) * self.dt - 0.05), 0.1), look if young else 3 * look
+        between = 2 if young else 4  # looks
+        if look and joints and self.looks % between == 0:
+            back, since = min(0.4 * ((self.k - self.alarms[0]) * self.dt - 0.05), 0.1), between * look
             self.odds += (1.0 if back <= 0 else 1 - math.exp(-since / back)) * (np.clip(odds, -6, 6) - self.odds)
             sure = gap > 0 or (abs(self.odds) >= self.doubt).all()
             self.speaks = bool(sure and (self.odds > 0).any())
