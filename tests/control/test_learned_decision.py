@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -134,12 +135,12 @@ def test_many_scenarios_are_answered_as_each_alone(config, gains):
     few = (hear > 0) & (hear <= learned_decision.GROUP)
     assert (hear == 0).any() and few.any() and (hear == count).any()
 
-    def run(start, inputs, gains):
+    def run(start: Any, inputs: Any, gains: Any) -> Any:
         return jax.lax.scan(lambda s, i: learned_decision.step(config, gains, s, i), start, inputs)[1]
 
     start = learned_decision.init(config, gains, jnp.zeros((N, count)))
-    together = jax.jit(run)(start, inputs, align(gains, 1))
-    single = jax.jit(jax.vmap(run, in_axes=(-1, -1, None), out_axes=-1))(start, inputs, gains)
+    together: Any = jax.jit(run)(start, inputs, align(gains, 1))
+    single: Any = jax.jit(jax.vmap(run, in_axes=(-1, -1, None), out_axes=-1))(start, inputs, gains)
     np.testing.assert_array_equal(together.verdict, single.verdict)
     np.testing.assert_array_equal(together.unsure, single.unsure)
 
