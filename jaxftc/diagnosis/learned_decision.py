@@ -13,7 +13,7 @@ remembers by leaky means and decaying peaks, whose times are in seconds.
   that has come back the network knows more than the rule, so there an unsure answer counts as well.
 * Where it is unsure of a joint, or does not speak though asked, what is said is a guess, and that is said too: fault, kind
   unknown. It is never taken for normal.
-* It looks every ``PERIOD``, and is asked at every second look for ``YOUNG``, at every fourth later; in between its last
+* It looks every ``PERIOD``. It is asked every ``SOONER`` for ``YOUNG``, later less often by ``LATER``; in between its last
   answer stands. The first answers to a fault stand as they are, later ones are averaged: what wavers then is the moment, not
   the fault.
 
@@ -42,7 +42,7 @@ from jaxftc.types import Array
 
 PERIOD = 0.004  # s between two looks, at least a tick
 YOUNG = 0.1  # s after the first alarm in which a fault is young
-SOONER, LATER = 2, 4  # looks from one question to the next, of a young fault and of an old one; the one divides the other
+SOONER, LATER = 0.008, 2  # s between two questions to a young fault, at least a look, and times that to an old one
 FAST, MEDIUM, SLOW, PEAK = 0.03, 0.1, 0.3, 0.4  # s, time constants of what is remembered
 RETURN = 0.3  # s in which an alarm that comes back on a joint is of the same fault
 HELD, LONGEST = 1.5, 0.15  # a fault that comes and goes stays named for so many times its longest gap, and s, at most
@@ -161,9 +161,9 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     gains, state, inputs = jax.lax.stop_gradient((gains, state, inputs))
     alarmed = (inputs.verdict > 0).any(0)
     state = _count(config, state, inputs.verdict > 0)
-    due = _looks_until(config, state, range(LATER))[0].any()
+    due = _looks_until(config, state, range(LATER * between(config)))[0].any()
     memory, speaks = jax.lax.cond(due, lambda: _look(config, gains, state, inputs), lambda: (state.memory, state.speaks))
-    wait = jnp.where(state.wait <= 0, LATER * period(config), state.wait) - 1
+    wait = jnp.where(state.wait <= 0, LATER * between(config) * period(config), state.wait) - 1
     state = state._replace(memory=memory, speaks=speaks, wait=wait)
     tau, q = memory[-2:]  # the last two of Memory
     held = alarmed | (state.quiet[0] <= jnp.minimum(HELD * state.gap[0], LONGEST / config.dt))
@@ -207,7 +207,8 @@ def _look(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[A
     The products of the network are most of the cost: it is not asked if no scenario hears the answer.
     """
     memory, now = remember(config, gains, _unpacked(state), inputs)
-    asked = (state.wait <= 0) | _looks_until(config, state, range(0, LATER, SOONER)) & _young(config, state)
+    soon = _looks_until(config, state, range(0, LATER * between(config), between(config)))
+    asked = (state.wait <= 0) | soon & _young(config, state)
     hears, last = (inputs.verdict > 0).any(0) & asked, (memory.tau, memory.q, state.speaks)
     seen_by = gains, state, memory, now, inputs, hears
     ask = lambda: _of_some(hears[0], lambda some: _ask(config, *some), seen_by, last)  # noqa: E731
@@ -238,10 +239,10 @@ def _of_some(which: Array, ask: Callable[[T], Answers], asked: T, otherwise: Ans
 def _ask(config: Config, gains: Gains, state: State, memory: Memory, now: Signals, inputs: Inputs, hears: Array) -> Answers:
     """``Memory.tau``, ``Memory.q`` and ``State.speaks`` with this moment's answer, where ``hears`` [n, ...] bool."""
     seen = shown(config, gains, memory, now, inputs)
-    between = period(config) * config.dt * jnp.where(_young(config, state), SOONER, LATER)
+    since = between(config) * period(config) * config.dt * jnp.where(_young(config, state), 1.0, LATER)  # s
     back = jnp.clip(AVERAGED * (config.dt * state.age - EARLY), 1e-3 * PERIOD, BACK)  # s
     old = jnp.stack([memory.tau, memory.q])
-    odds = old - jnp.expm1(-between / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
+    odds = old - jnp.expm1(-since / back)[None] * (jnp.clip(logits(gains.decision, seen), -ODDS, ODDS) - old)
     known = familiar(gains.decision, seen) & ~inputs.absent.any(0)
     sure = (jnp.abs(odds) >= _column(gains.decision.doubt, seen)).all((0, 1)) | (state.gap[0] > 0)
     speaks = known & sure & (odds > 0).any((0, 1))
@@ -264,6 +265,11 @@ def _young(config: Config, state: State) -> Array:
 def period(config: Config) -> int:
     """Ticks from one look to the next."""
     return max(1, round(PERIOD / config.dt))
+
+
+def between(config: Config) -> int:
+    """Looks from one question to a young fault to the next."""
+    return max(1, round(SOONER / (period(config) * config.dt)))
 
 
 def look(config: Config, gains: Gains, memory: Memory, inputs: Inputs) -> tuple[Memory, Array]:

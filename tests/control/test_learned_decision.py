@@ -215,7 +215,9 @@ def test_false_alarms_that_come_back_stay_named_for_a_bounded_time(config, gains
 
 def test_it_asks_every_tick_of_a_slow_loop(config):
     assert learned_decision.period(dataclasses.replace(config, dt=0.01)) == 1
+    assert learned_decision.between(dataclasses.replace(config, dt=0.01)) == 1
     assert learned_decision.period(dataclasses.replace(config, dt=0.0005)) == 8
+    assert learned_decision.between(dataclasses.replace(config, dt=0.0005)) == 2
 
 
 def test_it_names_and_never_decides_whether_there_is_an_alarm(config, gains):
