@@ -28,7 +28,7 @@ import tomli_w
 import jaxftc
 from jaxftc.compile.jit import jit
 from jaxftc.decision_gains import DecisionGains
-from jaxftc.diagnosis import learned_decision, threshold
+from jaxftc.diagnosis import decision_memory, decision_network, threshold
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.evaluation import online
 from jaxftc.evaluation.metrics import SETTLE
@@ -119,13 +119,13 @@ def moments(config: jaxftc.Config, seed: int, runs: dict[str, int]) -> list[Mome
 
 def _program(config: jaxftc.Config) -> Any:
     """(gains, scenarios with a trailing axis, key) to what is shown [asks, inputs, n, runs], alarms [asks, runs], truth."""
-    every = learned_decision.period(config)
+    every = decision_memory.period(config)
 
     def run(gains: jaxftc.Gains, scenarios: Scenario, key: Array) -> tuple[Array, Array, online.Truth]:
         """Runs of a batch, asked every ``every`` ticks."""
         gains, stream = threshold.known_constant(gains), noise.streams(key, scenarios.id)
         loop = closed_loop.start(config, gains, scenarios)
-        memory = learned_decision.blank(loop.q)
+        memory = decision_memory.blank(loop.q)
 
         def tick(loop: closed_loop.Loop, k: Array) -> tuple[closed_loop.Loop, closed_loop.Trace]:
             error = scenarios.noise * noise.normal(stream, k, config.n)
@@ -135,7 +135,9 @@ def _program(config: jaxftc.Config) -> Any:
             loop, memory = carry
             loop, ticks = jax.lax.scan(tick, loop, every * k + jnp.arange(every))
             out = jax.tree.map(lambda leaf: leaf[-1], ticks.out)
-            memory, seen = learned_decision.look(config, align(gains, 1), memory, _inputs(loop.controller, out))
+            inputs, own = _inputs(loop.controller, out), align(gains, 1)
+            memory, now = decision_memory.remember(config, own, memory, inputs)
+            seen = decision_network.shown(config, own, memory, now, inputs)
             return (loop, memory), (seen.astype(jnp.float16), out.detected)
 
         _, (seen, alarmed) = jax.lax.scan(ask, (loop, memory), jnp.arange(config.ticks // every))
@@ -144,9 +146,9 @@ def _program(config: jaxftc.Config) -> Any:
     return jit(run)
 
 
-def _inputs(state: Any, out: jaxftc.Output) -> learned_decision.Inputs:
+def _inputs(state: Any, out: jaxftc.Output) -> decision_memory.Inputs:
     """What the decision took in, of the state after a tick and what that said."""
-    return learned_decision.Inputs(
+    return decision_memory.Inputs(
         statistics=Statistics(out.statistic_tau, out.statistic_q),
         threshold_tau=out.threshold_tau,
         residual_tau=out.residual_tau,
@@ -163,8 +165,8 @@ def _pick(
     config: jaxftc.Config, seen: np.ndarray, alarmed: np.ndarray, true: online.Truth, random: np.random.Generator
 ) -> Moments:
     """Moments of the runs that raised an alarm in time."""
-    step = learned_decision.period(config) * config.dt
-    t = config.dt * (learned_decision.period(config) - 1) + step * np.arange(len(seen))  # s, at which it was asked
+    step = decision_memory.period(config) * config.dt
+    t = config.dt * (decision_memory.period(config) - 1) + step * np.arange(len(seen))  # s, at which it was asked
     last = np.minimum(true.clear, t[-1])
     up = alarmed & (t[:, None] >= true.onset) & (t[:, None] <= last) & ~true.healthy
     runs = np.flatnonzero(up.any(0) & np.isfinite(seen).all((0, 1, 2)))
@@ -189,7 +191,7 @@ def train(parts: Sequence[Moments], seed: int = 0, steps: int = STEPS) -> tuple[
 
     def loss(layers: dict[str, Array], some: Moments) -> Array:
         seen = jnp.asarray(some.seen.T, jnp.float32)[:, None]
-        said = learned_decision.logits(DecisionGains(**fixed, **layers), seen)[:, 0]
+        said = decision_network.logits(DecisionGains(**fixed, **layers), seen)[:, 0]
         wrong = optax.sigmoid_binary_cross_entropy(said, some.wanted.T).sum(0)
         return (wrong * some.weight).sum() / some.weight.sum()
 

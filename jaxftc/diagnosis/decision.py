@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxftc.compile.box import box
 from jaxftc.config import Config
-from jaxftc.diagnosis import alarm, learned_decision, sensor_check
+from jaxftc.diagnosis import alarm, decision_memory, learned_decision, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.gains import Gains
 from jaxftc.observer.cascade import Estimate
@@ -65,7 +65,7 @@ def step(config: Config, gains: Gains, state: State, inputs: Inputs) -> tuple[St
     unsure = jnp.zeros_like(level)
     if state.learned is not None and inputs.residual_of_all is not None:
         shown = inputs.statistics, level, inputs.residual_of_all, inputs.estimate.e, inputs.estimate.absent
-        asked = learned_decision.Inputs(*shown, alarms_next, check_next, sensors.suspect, said)
+        asked = decision_memory.Inputs(*shown, alarms_next, check_next, sensors.suspect, said)
         learned, (said, unsure) = learned_decision.step(config, gains, state.learned, asked)
     return State(alarms_next, check_next, learned), Decision(said, sensors, unsure)
 

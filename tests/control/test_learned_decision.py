@@ -15,7 +15,7 @@ from jaxftc import decision_gains
 from jaxftc.cli import simulate
 from jaxftc.compile.scalars import scalars
 from jaxftc.decision_gains import DecisionGains
-from jaxftc.diagnosis import alarm, learned_decision, sensor_check
+from jaxftc.diagnosis import alarm, decision_memory, decision_network, learned_decision, sensor_check
 from jaxftc.diagnosis.statistics import Statistics
 from jaxftc.evaluation import metrics
 from jaxftc.gains import align
@@ -60,7 +60,7 @@ def signals(seed: int = 3) -> dict[str, np.ndarray]:
     return x | {"threshold": 0.5 + rng.uniform(size=(TICKS, N)), "e": 1e-3 * x["e"], "q": 0.02 * x["q"]}
 
 
-def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> learned_decision.Inputs:
+def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> decision_memory.Inputs:
     """The same as the block takes them; every field [T, n]."""
     zero = jnp.zeros((TICKS, N))
     check = sensor_check.State(
@@ -70,7 +70,7 @@ def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> learned_decisi
         counts=sensor_check.Counts(zero, zero, jnp.asarray(x["turns"]), zero),
     )
     rule = (x["up_tau"] * (1 - x["suspect"]) + 2 * np.maximum(x["up_q"], x["suspect"])).astype(np.int32)
-    return learned_decision.Inputs(
+    return decision_memory.Inputs(
         statistics=Statistics(jnp.asarray(x["tau"]), jnp.asarray(x["q"])),
         threshold_tau=jnp.asarray(x["threshold"]),
         residual_tau=jnp.asarray(x["residual"]),
@@ -83,14 +83,14 @@ def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> learned_decisi
     )
 
 
-def ran(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> learned_decision.Info:
+def ran(config: jaxftc.Config, gains: jaxftc.Gains, inputs: decision_memory.Inputs) -> learned_decision.Info:
     """What is said in every tick [T, n]."""
     start = learned_decision.init(config, gains, jnp.zeros(N))
     run = jax.jit(lambda g, s, i: jax.lax.scan(lambda s, i: learned_decision.step(config, g, s, i), s, i))
     return jax.tree.map(np.asarray, run(gains, start, inputs)[1])
 
 
-def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: learned_decision.Inputs) -> np.ndarray:
+def said(config: jaxftc.Config, gains: jaxftc.Gains, inputs: decision_memory.Inputs) -> np.ndarray:
     """Verdicts [T, n]."""
     return ran(config, gains, inputs).verdict
 
@@ -100,7 +100,7 @@ def test_it_says_what_its_twin_says(config, gains):
     answer stands.
     """
     x, gains = signals(), gains.replace({"decision.last": 2 * gains.decision.last})
-    every = learned_decision.period(config)
+    every = decision_memory.period(config)
     assert every == 4
     weights = {f.name: np.asarray(getattr(gains.decision, f.name)) for f in dataclasses.fields(DecisionGains)}
     twin = twins.Twin(N, every * config.dt, np.asarray(gains.observer.jump), np.asarray(gains.diagnosis.alpha_q))
@@ -110,7 +110,7 @@ def test_it_says_what_its_twin_says(config, gains):
     for k in range(TICKS):
         if k % every == 0:
             shown = twin.look({name: values[k] for name, values in x.items()})
-            assert shown.shape[0] == len(learned_decision.NAMES)
+            assert shown.shape[0] == len(decision_network.NAMES)
             odds = twins.answer(weights, shown)
         verdict, guess = speaker.say(rule[k], every * config.dt if k % every == 0 else 0.0, odds)
         expected.append(verdict)
@@ -162,7 +162,7 @@ def naming(gains: jaxftc.Gains) -> jaxftc.Gains:
     weights = gains.replace({f"decision.{name}": 0.0 for name in layers}).decision
     weights = dataclasses.replace(
         weights,
-        first=weights.first.at[learned_decision.NAMES.index("now alarmed"), 0].set(1.0),
+        first=weights.first.at[decision_network.NAMES.index("now alarmed"), 0].set(1.0),
         second=weights.second.at[0, 0].set(1.0),
         last=weights.last.at[0, 0].set(3.0),
         last_bias=jnp.array([-1.5, -1.5]),
@@ -170,7 +170,7 @@ def naming(gains: jaxftc.Gains) -> jaxftc.Gains:
     return dataclasses.replace(gains, decision=weights)
 
 
-def with_alarms(config: jaxftc.Config, alarms: np.ndarray, rule: np.ndarray | None = None) -> learned_decision.Inputs:
+def with_alarms(config: jaxftc.Config, alarms: np.ndarray, rule: np.ndarray | None = None) -> decision_memory.Inputs:
     """A moment that stays, with torque alarms [T, N] bool; the rule's verdict is the same unless given."""
     inputs = jax.tree.map(lambda leaf: jnp.repeat(leaf[7:8], len(alarms), 0), inputs_of(config, signals()))
     up = jnp.asarray(alarms, float)
@@ -214,9 +214,9 @@ def test_false_alarms_that_come_back_stay_named_for_a_bounded_time(config, gains
 
 
 def test_it_asks_every_tick_of_a_slow_loop(config):
-    assert learned_decision.period(dataclasses.replace(config, dt=0.01)) == 1
+    assert decision_memory.period(dataclasses.replace(config, dt=0.01)) == 1
     assert learned_decision.between(dataclasses.replace(config, dt=0.01)) == 1
-    assert learned_decision.period(dataclasses.replace(config, dt=0.0005)) == 8
+    assert decision_memory.period(dataclasses.replace(config, dt=0.0005)) == 8
     assert learned_decision.between(dataclasses.replace(config, dt=0.0005)) == 2
 
 
@@ -239,7 +239,7 @@ def test_the_rule_s_verdict_stays(config, gains, why):
         gains = gains.replace({"decision.doubt": 50.0})
         inputs = inputs._replace(verdict=jnp.where(jnp.arange(TICKS)[:, None] // 20 == 1, 1, 0) + 0 * inputs.verdict)
     elif why == "unfamiliar":
-        gains = gains.replace({"decision.high": np.where(np.arange(len(learned_decision.NAMES)) == 5, -1.0, 1e6)})
+        gains = gains.replace({"decision.high": np.where(np.arange(len(decision_network.NAMES)) == 5, -1.0, 1e6)})
     elif why == "no reading":
         inputs = inputs._replace(absent=inputs.absent.at[:, 1].set(True))
     else:  # alarms that rise and end between two questions
@@ -257,7 +257,7 @@ def test_the_rule_s_verdict_stays(config, gains, why):
 
 def test_a_pattern_like_none_of_the_training_is_an_unknown_fault_and_not_normal(config, gains):
     """Beyond the range of the training: the alarm stays, whatever the network would say of it."""
-    high = np.where(np.arange(len(learned_decision.NAMES)) == 0, -1.0, 1e6)
+    high = np.where(np.arange(len(decision_network.NAMES)) == 0, -1.0, 1e6)
     alarms = np.zeros((60, N), bool)
     alarms[20:50, 1] = True
     inputs = with_alarms(config, alarms)
@@ -287,19 +287,19 @@ def test_a_memory_in_seconds_is_the_same_at_any_sample_time(config, gains):
     for dt in (0.001, 0.005):
         own = dataclasses.replace(config, dt=dt)
         inputs = jax.tree.map(lambda leaf: leaf[7], inputs_of(own, signals()))
-        memory, shown = learned_decision.blank(jnp.zeros(N)), None
-        for _ in range(round(0.2 / (dt * learned_decision.period(own)))):
-            memory, shown = learned_decision.look(own, gains, memory, inputs)
-        found.append(shown)
+        memory = decision_memory.blank(jnp.zeros(N))
+        for _ in range(round(0.2 / (dt * decision_memory.period(own)))):
+            memory, now = decision_memory.remember(own, gains, memory, inputs)
+        found.append(decision_network.shown(own, gains, memory, now, inputs))
     np.testing.assert_allclose(*found, atol=2e-3)
 
 
 def test_slopes_in_the_weights_are_those_of_finite_differences(config, gains):
-    shown = jnp.asarray(np.random.default_rng(2).normal(size=(len(learned_decision.NAMES), N)))
+    shown = jnp.asarray(np.random.default_rng(2).normal(size=(len(decision_network.NAMES), N)))
     layers = {name: getattr(gains.decision, name) for name in ("first", "first_bias", "second", "last", "last_bias")}
 
     def cost(layers, shown):
-        return (learned_decision.logits(dataclasses.replace(gains.decision, **layers), shown) ** 2).sum()
+        return (decision_network.logits(dataclasses.replace(gains.decision, **layers), shown) ** 2).sum()
 
     check_grads(cost, (layers, shown), order=1, atol=1e-5, rtol=1e-5, eps=1e-6)
 
@@ -350,7 +350,7 @@ def test_the_shipped_weights_fit_what_is_shown():
     assert shipped.keys() == {field.name for field in dataclasses.fields(DecisionGains)}
     for field in dataclasses.fields(DecisionGains):
         assert shipped[field.name].shape == tuple(map(int, field.metadata["spec"].axes))
-    assert len(shipped["centre"]) == len(learned_decision.NAMES) and (shipped["low"] < shipped["high"]).all()
+    assert len(shipped["centre"]) == len(decision_network.NAMES) and (shipped["low"] < shipped["high"]).all()
 
 
 @pytest.mark.parametrize(
