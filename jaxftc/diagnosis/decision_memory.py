@@ -46,13 +46,13 @@ class PerAlarm(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What changes with a question; all [n, ...]."""
+    """What changes with a look, the log odds with an answer; all [n, ...]."""
 
     fast: Signals  # leaky means
     slow: Signals
     side: Array  # leaky mean of the torque statistic with its sign
     peak: Peaks
-    up: PerAlarm  # 1 where that alarm was up when last asked
+    up: PerAlarm  # 1 where that alarm was up at the last look
     rises: PerAlarm  # how often it rose, leaky
     since: Array  # s since any joint was first in alarm
     own: Array  # s since this one was

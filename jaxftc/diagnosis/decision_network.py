@@ -15,7 +15,6 @@ from jaxftc.types import Array
 
 SOON = 0.06  # s, at which a time counts half
 
-
 NAMES = (  # of what the network is shown
     *(f"{kind} {name}" for kind in ("now", "fast", "slow") for name in Signals._fields),
     *(f"peak {name}" for name in Peaks._fields),
