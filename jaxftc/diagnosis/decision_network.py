@@ -28,12 +28,14 @@ def shown(config: Config, gains: Gains, memory: Memory, now: Signals, inputs: In
     """What the network is shown of this moment, [len(NAMES), n, ...] in the order of ``NAMES``."""
     check, fast, slow, peaks, jump = inputs.check, memory.fast, memory.slow, memory.peak, gains.observer.jump
     age = check.transient.age * config.dt
+    equal = check.freeze.equal / (check.freeze.equal + sensor_check.FROZEN_READINGS)
+    moved = jnp.minimum(check.freeze.travel / jump, 1.0)  # equal readings of a joint that stands still say nothing
     residual = size(inputs.residual_tau / inputs.threshold_tau)
     alone = [
         residual,
         jnp.minimum(check.jumps.total / sensor_check.MANY_JUMPS, 4.0),
         jnp.minimum(jnp.abs(check.jumps.signed) / sensor_check.MANY_JUMPS, 4.0),
-        check.freeze.equal / (check.freeze.equal + sensor_check.FROZEN_READINGS),
+        moved * equal,
         size(check.freeze.travel / jump),
         jnp.minimum(check.counts.turns / sensor_check.SHARP_TURNS, 2.0),
         size(check.transient.peak / inputs.threshold_tau),

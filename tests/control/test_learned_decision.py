@@ -57,7 +57,8 @@ def signals(seed: int = 3) -> dict[str, np.ndarray]:
         name: np.repeat(rng.uniform(size=(TICKS // 12, N)) < 0.15, 12, 0).astype(float)
         for name in ("up_tau", "up_q", "suspect")
     }
-    return x | {"threshold": 0.5 + rng.uniform(size=(TICKS, N)), "e": 1e-3 * x["e"], "q": 0.02 * x["q"]}
+    scale = {"e": 1e-3, "q": 0.02, "travel": 5e-4}
+    return x | {name: unit * x[name] for name, unit in scale.items()} | {"threshold": 0.5 + rng.uniform(size=(TICKS, N))}
 
 
 def inputs_of(config: jaxftc.Config, x: dict[str, np.ndarray]) -> decision_memory.Inputs:
@@ -302,6 +303,23 @@ def test_slopes_in_the_weights_are_those_of_finite_differences(config, gains):
         return (decision_network.logits(dataclasses.replace(gains.decision, **layers), shown) ** 2).sum()
 
     check_grads(cost, (layers, shown), order=1, atol=1e-5, rtol=1e-5, eps=1e-6)
+
+
+def test_equal_readings_of_an_arm_at_rest_say_nothing():
+    """Without noise, or in whole counts, they stand still with the arm; the network was trained on noisy ones."""
+    config = jaxftc.Config(two_hinges(), engine="chain", decision="learned")
+    gains, still, onset = jaxftc.default_gains(config), jnp.zeros(config.n), 300
+    readings = jnp.zeros((600, config.n)).at[onset:, 0].set(0.1)
+
+    def tick(carry: Any, y: Any) -> Any:
+        state, tau = carry
+        state, out = jaxftc.step(config, gains, state, jaxftc.Reference(still, still, still), jaxftc.Measurement(y, tau))
+        return (state, out.tau), out.verdict
+
+    start = jaxftc.init(config, gains, still), still
+    verdict = np.asarray(jax.jit(lambda s, y: jax.lax.scan(tick, s, y)[1])(start, readings))
+    assert not verdict[:onset].any()
+    np.testing.assert_array_equal(verdict[onset : onset + 250], np.tile([2, 0], (250, 1)))
 
 
 @pytest.mark.thorough

@@ -41,7 +41,7 @@ class Twin:
                 residual[j],
                 min(x["jumps"][j] / 8, 4),
                 min(abs(x["one_way"][j]) / 8, 4),
-                x["equal"][j] / (x["equal"][j] + 5),
+                x["equal"][j] / (x["equal"][j] + 5) * min(x["travel"][j] / self.jump[j], 1),
                 size(x["travel"][j] / self.jump[j]),
                 min(x["turns"][j] / 6, 2),
                 size(x["peak"][j] / x["threshold"][j]),
