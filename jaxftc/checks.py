@@ -100,6 +100,15 @@ def joints_first(name: str, value: object, n: int) -> None:
         raise ValueError(f"{name} must have the {n} joints on its first axis ([{n}] or [{n}, scenarios]), got shape {shape}")
 
 
+def one_arm(name: str, value: object, n: int) -> None:
+    """Refuse an array that is not one number for each of the n joints."""
+    import numpy as np
+
+    shape = tuple(np.shape(value))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    if shape != (n,):
+        raise ValueError(f"{name} must have shape [{n}], one arm's joints, got {list(shape)}")
+
+
 def finite(name: str, value: object, what_to_do: str) -> None:
     """Refuse numbers that are not finite; values under a trace are not looked at."""
     import numpy as np

@@ -117,6 +117,8 @@ class Config:
         checks.integer("transient_ticks", self.transient_ticks, 0, "0 switches the sensor check off")
 
     def _check_adaptive(self) -> None:
+        if not isinstance(self.adaptive, bool):
+            raise ValueError(f"adaptive must be True or False, got {self.adaptive!r}")
         if not self.adaptive:
             return
         learns = getattr(variants.load(self.scheme), "LEARNS", False)

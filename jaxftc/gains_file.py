@@ -25,9 +25,9 @@ def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> 
         gains: One set, without scenario axes.
         config: What they belong to, if it is to be in the file: robot, time step and structure.
     """
-    table: dict[str, Any] = {"made_with": {"jaxftc": __version__} | ({} if config is None else header(config))}
-    if config is not None and gains.own is not None:
-        table["made_with"]["scheme"] = config.scheme
+    table: dict[str, Any] = {"made_with": {"jaxftc": __version__}}
+    if config is not None:
+        table["made_with"] |= header(config) | judges(config)
     for block, name, spec in specs(gains):
         value = np.asarray(getattr(getattr(gains, block), name))
         value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
@@ -37,6 +37,8 @@ def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> 
 
 def load_gains(path: str | Path, config: Config) -> Gains:
     """Read gains from a TOML file written by ``save_gains``; every gain must be there and nothing else.
+
+    Gains serve every scheme, but thresholds that were calibrated hold for the one that they were calibrated for alone.
 
     Args:
         path: The file.
@@ -105,6 +107,28 @@ def header(config: Config) -> dict[str, Any]:
         "order_b": config.order_b,
         "input": config.input,
     }
+
+
+def judges(config: Config) -> dict[str, Any]:
+    """What thresholds belong to, beside the rest."""
+    return {"scheme": config.scheme, "observer": config.observer, "adaptive": config.adaptive}
+
+
+def caution(path: str | Path, config: Config) -> str | None:
+    """What to know of a file whose thresholds are of another scheme, if they are.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    made_with, ours = read_toml(path, "gains").get("made_with"), judges(config)
+    theirs = {k: made_with.get(k, v) for k, v in ours.items()} if isinstance(made_with, dict) else ours
+    if theirs == ours:
+        return None
+    other, here = (", ".join(f"{k} {v}" for k, v in one.items()) for one in (theirs, ours))
+    return (
+        f"{path} was made with {other}; here {here}. Thresholds that were calibrated there do not hold here: set them with "
+        "jaxftc calibrate"
+    )
 
 
 def _weights(path: str | Path, entries: dict[str, Any] | None, known: dict[tuple[str, str], Spec]) -> dict[str, np.ndarray]:

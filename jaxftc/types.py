@@ -71,7 +71,7 @@ class Measurement(NamedTuple):
 
     Attributes:
         q: [n, ...] rad, encoder reading.
-        tau: [n, ...] N m, torque commanded in the last tick; None if it is not known.
+        tau: [n, ...] N m, torque commanded in the last tick; NaN (in Python also None) if it is not known.
     """
 
     q: Array

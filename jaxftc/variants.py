@@ -88,6 +88,8 @@ def _unknown(name: str, known: tuple[str, ...], error: Exception) -> str:
 
     near = get_close_matches(name, known, n=1)
     hint = f"; did you mean {near[0]!r}?" if near else f" ({error}); is its folder on PYTHONPATH?"
+    if name in CASCADES:
+        hint = f"; that is {', '.join(f'{k}={v!r}' for k, v in CASCADES[name].items())} of the scheme 'cascade'"
     return f"scheme must be one of {', '.join(map(repr, known))}, or module:object, got {name!r}{hint}"
 
 

@@ -58,6 +58,7 @@ class Promise(NamedTuple):
     fitted_per_hour: float | None  # alarms at the thresholds found, by the fitted tail; None where runs were counted
     seen: int  # alarms on the logs with the thresholds found
     at_most_per_hour: float  # alarms, with that confidence, by the healthy time alone
+    needed_s: float  # s of logs without an alarm that would show what is wanted, with that confidence
 
 
 class LogCalibration(NamedTuple):
@@ -132,16 +133,18 @@ def calibrate_on_logs(
     level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
     gains = gains.replace(_thresholds(config, found, level, torques))
     seen = _alarms(config, gains, logs)
+    rate = -math.log1p(-false_alarms) / (run / 3600)
     promise = Promise(
         healthy_s=healthy,
         run_s=run,
         wanted=false_alarms,
         confidence=confidence,
         method=level.method,
-        wanted_per_hour=-math.log1p(-false_alarms) / (run / 3600),
+        wanted_per_hour=rate,
         fitted_per_hour=level.rate * 3600 / block if level.method == "tail" else None,
         seen=seen,
         at_most_per_hour=float(stats.chi2.ppf(confidence, 2 * (seen + 1)) / 2 / (healthy / 3600)),
+        needed_s=-3600 * math.log1p(-confidence) / rate,
     )
     return LogCalibration(gains, promise, noise)
 

@@ -74,7 +74,7 @@ class Calibrate(Laws):
             raise ValueError(
                 f"scheme {self.scheme!r} has no diagnosis, so there is no threshold to set; give another --scheme"
             )
-        job = self.job(base, self.scheme)
+        job = self.job(base, self.scheme, anew=True)
         if self.lead is not None:
             job = job._replace(gains=with_lead(job.config, job.gains, self.lead))
         enough(self.runs, self.false_alarms, self.confidence)
@@ -165,12 +165,15 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
         f"{promise.healthy_s:.4g} s of healthy motion, with {promise.seen} alarms at these thresholds. That alone excludes "
         f"more than {promise.at_most_per_hour:.3g} alarms an hour, with {100 * promise.confidence:g} % confidence.",
         f"Wanted: at most an alarm in {wanted}.",
+        "That is shown."
+        if promise.at_most_per_hour <= promise.wanted_per_hour
+        else f"NOT SHOWN: it takes {promise.needed_s / 60:.3g} minutes of healthy motion without an alarm.",
     ]
     if promise.method == "tail":
         lines.append(
-            "The logs are too short to count that. The thresholds are EXTRAPOLATED from a fitted tail, to no more "
+            "The logs are too short to count such runs. The thresholds are EXTRAPOLATED from a fitted tail, to no more "
             f"than {FARTHEST:g} times the largest seen. At them the tail expects {promise.fitted_per_hour:.3g} alarms an "
-            "hour; record more healthy motion."
+            "hour; shares that need more than that have the same thresholds."
         )
     else:
         lines.append("The thresholds are set by counting runs.")

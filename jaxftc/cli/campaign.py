@@ -40,8 +40,8 @@ class Laws(common.Options):
 
         return Config(common.load_arm(self), dt=common.sample_time(self), engine=self.engine, duration=self.duration)
 
-    def job(self, base: Config, scheme: str) -> Job:
-        """Everything that a row of a scheme depends on, with the gains that were asked for."""
+    def job(self, base: Config, scheme: str, *, anew: bool) -> Job:
+        """Everything that a row of a scheme depends on; thresholds of its gains are to be set ``anew``, or stay."""
         from jaxftc.campaigns.spec import Job, variant
         from jaxftc.scenarios.distributions import extent
         from jaxftc.scenarios.preset_file import load_preset
@@ -58,7 +58,7 @@ class Laws(common.Options):
                 f"no fault of preset {self.preset!r} begins within {duration:g} s; the first onset is at {onset:g} s, "
                 "so give a longer --duration"
             )
-        return Job(config, common.load_or_default(self, config), preset, self.seed, scheme)
+        return Job(config, common.load_or_default(self, config, anew=anew), preset, self.seed, scheme)
 
 
 @dataclasses.dataclass
@@ -109,8 +109,8 @@ class Campaign(Laws):
         from jaxftc.report import campaign
 
         base = dataclasses.replace(self.base(), contact=self.contact, decision=self.decision)
-        jobs = {name: self.job(base, name) for name in names}
         share = 0.01 if self.false_alarms is None and self.compare else self.false_alarms
+        jobs = {name: self.job(base, name, anew=share is not None) for name in names}
         if self.follow and share is None:
             raise ValueError("--follow sets thresholds, and needs --false-alarms, the share of healthy runs with an alarm")
         if share is not None:

@@ -239,8 +239,14 @@ def sample_time(options: Options) -> float:
     return options.dt
 
 
-def load_or_default(options: Options, config: Config) -> Gains:
-    """The gains that ``--gains`` names."""
+def load_or_default(options: Options, config: Config, *, anew: bool = False) -> Gains:
+    """The gains that ``--gains`` names; a doubt of their thresholds goes to stderr, unless those are set ``anew``."""
     from jaxftc import default_gains, load_gains
+    from jaxftc.gains_file import caution
 
-    return default_gains(config) if options.gains is None else load_gains(options.gains, config)
+    if options.gains is None:
+        return default_gains(config)
+    gains, doubt = load_gains(options.gains, config), caution(options.gains, config)
+    if doubt and not anew:
+        print(doubt, file=sys.stderr)
+    return gains

@@ -57,6 +57,7 @@ class Diagnose(LogOptions, common.ArmOptions):
         import numpy as np
         from tqdm import tqdm
 
+        from jaxftc.cli import record
         from jaxftc.io.files import write_text
         from jaxftc.logs import timeline
         from jaxftc.logs.diagnose import Stream
@@ -89,17 +90,17 @@ class Diagnose(LogOptions, common.ArmOptions):
                     bar.update(len(said.verdict))
                 duration = begins + float(t[-1])
         assert found is not None and stream is not None
-        record = timeline.as_record(found, duration)
+        result, ran = timeline.as_record(found, duration), record.of(self, stream.config)
         for note in notes:
             common.say(self, f"{path.name}: {note}")
-        common.say(self, as_text(record))
+        common.say(self, as_text(result))
         write_text(folder / "events.csv", events_csv(found.events))
         levels = {"tau": curves["threshold_tau"].curve, "q": as_row(stream.gains.diagnosis.alpha_q)}
         write_text(
             folder / "report.html",
-            diagnosis_page(f"Diagnosis of {path.name}", record, curves, levels, names, tuple(notes)),
+            diagnosis_page(f"Diagnosis of {path.name}", result, curves, levels, names, tuple(notes), ran),
         )
-        return results.write_json(folder / "result.json", record)
+        return results.write_json(folder / "result.json", result | {"provenance": ran})
 
     def _wanted(self, arm: Arm) -> tuple[Any, Any]:
         """What ``pieces`` reads the log for: the arm at the log's own sample time, or at that of the gains."""

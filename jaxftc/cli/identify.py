@@ -88,14 +88,18 @@ class Identify(LogOptions, common.ArmOptions):
         if not self.logs:
             raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
         common.prepare(self)
+        from jaxftc.cli import record
+        from jaxftc.cli.diagnose import log_config
+
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
         with results.folder(self, "identify") as folder:
-            result = self._judge(arm, found) if self.judge else self._fit(arm, found, folder)
+            ran = record.of(self, log_config(arm.robot, found[0].dt or 1e-3))
+            result = self._judge(arm, found) if self.judge else self._fit(arm, found, folder, ran)
             result = (
                 {"sample_time_s": found[0].dt} | result | {"logs": [str(path) for path in self.logs], "robot": self.robot}
             )
-            text = results.write_json(folder / "result.json", result)
+            text = results.write_json(folder / "result.json", result | {"provenance": ran})
         written = ", ".join(sorted(p.name for p in folder.iterdir() if p.name[0] != "."))
         common.say(self, f"\nWritten to {folder}: {written}")
         if self.json:
@@ -108,7 +112,7 @@ class Identify(LogOptions, common.ArmOptions):
         common.say(self, share_lines(held, arm.robot.joint_names, judged=True))
         return {"held_out": as_json(held), "parameters": []}
 
-    def _fit(self, arm: Arm, logs: list[Log], folder: Path) -> dict[str, Any]:
+    def _fit(self, arm: Arm, logs: list[Log], folder: Path, ran: dict[str, Any]) -> dict[str, Any]:
         from jaxftc.identify import dynamics
         from jaxftc.io.files import write_text
         from jaxftc.report.identify import identify_page
@@ -120,7 +124,8 @@ class Identify(LogOptions, common.ArmOptions):
             common.say(self, note)
         common.say(self, share_lines(found.held_out, arm.robot.joint_names, judged=False))
         save_arm(folder, self._arm(arm, found, logs))
-        write_text(folder / "report.html", identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}"))
+        page = identify_page(arm.robot, found, logs[0], f"Identified: {arm.robot.name}", ran)
+        write_text(folder / "report.html", page)
         return {
             "held_out": as_json(found.held_out),
             "parameters": [p._asdict() for p in found.parameters],

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from jaxftc.config import Config
 
 
-def of(options: common.Options, config: Config, *, more: tuple[str, ...] = ()) -> dict[str, Any]:
+def of(options: common.ArmOptions, config: Config, *, more: tuple[str, ...] = ()) -> dict[str, Any]:
     """The record of a call; ``more`` are words for the command that it takes to get the same again."""
     from jaxftc.campaigns.spec import describe, versions
     from jaxftc.scenarios.preset_file import said
@@ -24,8 +24,8 @@ def of(options: common.Options, config: Config, *, more: tuple[str, ...] = ()) -
         "robot": {"name": config.robot.name, "fingerprint": config.robot.fingerprint},
         "config": {name: value for name, value in describe(config).items() if name != "robot_fingerprint"},
         "preset": None if preset is None else said(preset),
-        "seed": options.seed,
-        "gains": gains_file(options.gains),
+        "seed": getattr(options, "seed", None),
+        "gains": gains_file(getattr(options, "gains", None)),
         "options": results.request(options),
         "versions": versions(),
     }

@@ -35,6 +35,8 @@ def header(tick: Tick) -> str:
         f"limits       {limits} N m",
         f"sample time  {facts['dt']:g} s",
         f"scheme       {facts['scheme']}, observer {facts['observer']}, control {facts['control']}",
+        f"arm          {'learned while it runs' if facts['adaptive'] else 'as the model has it'}",
+        f"decision     {facts['decision']}",
         f"gains        {facts['gains']}, SHA-256 {facts['gains_sha256']}",
         f"jaxftc       {facts['jaxftc']}",
         "",
@@ -48,7 +50,8 @@ def header(tick: Tick) -> str:
     lines += [
         f"typedef {tick.real} ftc_real;",
         "",
-        "enum { FTC_NORMAL, FTC_ACTUATOR, FTC_SENSOR, FTC_BOTH, FTC_CONTACT = 8 }; /* verdicts */",
+        "/* Verdicts; unknown: the state was lost. */",
+        "enum { FTC_NORMAL, FTC_ACTUATOR, FTC_SENSOR, FTC_BOTH, FTC_UNKNOWN, FTC_CONTACT = 8 };",
         "",
         f"#define FTC_JOINTS {tick.config.n}",
         f"#define FTC_SAMPLE_TIME {c99.literal(np.float64(facts['dt']))} /* s */",
@@ -113,6 +116,7 @@ def _struct(name: str, about: str, leaves: dict[str, list[Leaf]]) -> list[str]:
         size = f"[{math.prod(leaf.shape)}]" if leaf.shape else ""
         shape = f"[{', '.join(map(str, leaf.shape))}]" if len(leaf.shape) > 1 else ""
         said = re.sub(r"^(int32|bool), ", "", leaf.about.partition("] ")[2] or leaf.about) or shape
+        said = said.replace("``", "")  # Python's markup
         member = f"    {KINDS[leaf.dtype.name]} {leaf.name}{size};"
         lines.append(f"{member} /* {said} */" if said else member)
     return [*lines, f"}} {name};", ""]

@@ -30,7 +30,8 @@ static const char *word(int32_t verdict) {
         case FTC_ACTUATOR: return "actuator";
         case FTC_SENSOR: return "sensor";
         case FTC_BOTH: return "both";
-        default: return "contact";
+        case FTC_CONTACT: return "contact";
+        default: return "unknown";
     }
 }
 

@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jax import export
 
+from jaxftc import checks
 from jaxftc.export.tick import Tick, precision
 from jaxftc.io.files import digest
 from jaxftc.types import Measurement, Output, Reference
@@ -51,19 +52,39 @@ class Loaded:
         read = [export.deserialize(bytearray((folder / file).read_bytes())) for file in FILES]
         self.call_init, self.call_step = (exported.call for exported in read)  # of leaves, to be traced
         self._init, self._step = jax.jit(self.call_init), jax.jit(self.call_step)
-        self._states = len(metadata["signals"]["state"])
+        self._states, self._n = len(metadata["signals"]["state"]), len(metadata["joint_names"])
         at_run_time = metadata["gains"] == "at run time"
         self.gains = [np.asarray(leaf["value"], self._dtype()) for leaf in metadata["signals"]["gains"] if at_run_time]
 
     def init(self, q: Any) -> list[jax.Array]:
-        """State at rest in q [n] rad, holding the arm against gravity."""
+        """State at rest in q [n] rad, holding the arm against gravity.
+
+        Raises:
+            ValueError: q has the wrong shape or is not finite.
+        """
+        checks.one_arm("q", q, self._n)
+        checks.finite("q", q, "give the angles that the arm is at")
         with precision(self.metadata["real"]):
             return self._init(*self.gains, np.asarray(q, self._dtype()))
 
     def step(self, state: list[Any], reference: Reference, measurement: Measurement) -> tuple[list[jax.Array], Output]:
-        """One tick: the next state, and what ``jaxftc.step`` says."""
+        """One tick: the next state, and what ``jaxftc.step`` says.
+
+        Raises:
+            ValueError: an argument is of another kind, or has the wrong shape.
+        """
+        checks.instance("reference", reference, Reference)
+        checks.instance("measurement", measurement, Measurement)
+        if measurement.tau is None:
+            measurement = measurement._replace(tau=np.full(self._n, np.nan))
+        given = {f"reference.{k}": x for k, x in reference._asdict().items()}
+        given |= {f"measurement.{k}": x for k, x in measurement._asdict().items()}
+        for name, value in given.items():
+            checks.one_arm(name, value, self._n)
+        if len(state) != self._states:
+            raise ValueError(f"state must be the list of {self._states} arrays that init or step gave, got {len(state)}")
         with precision(self.metadata["real"]):
-            signals = [np.asarray(x, self._dtype()) for x in (*reference, *measurement)]
+            signals = [np.asarray(checks.filled(x), self._dtype()) for x in given.values()]
             made = self._step(*self.gains, *state, *signals)
         return made[: self._states], Output(*made[self._states :])
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains, specs
-from jaxftc.gains_file import header
+from jaxftc.gains_file import header, judges
 from jaxftc.schemes import registry
 from jaxftc.types import Measurement, Output, Reference
 from jaxftc.version import __version__
@@ -96,17 +96,20 @@ def tick(
         own = jax.tree.map(lambda leaf: jnp.asarray(decimals(leaf), DTYPES[real]), gains)
         state = registry.init(config, own, jnp.asarray(config.robot.q_zero, DTYPES[real]))
     limits = [float(x) if np.isfinite(x) else None for x in config.robot.torque_limit]
-    metadata = header(config) | {
-        "jaxftc": __version__,
-        "joint_names": list(config.robot.joint_names),
-        "torque_limit_nm": limits,
-        "scheme": config.scheme,
-        "observer": config.observer,
-        "control": config.control,
-        "real": real,
-        "gains": "at run time" if at_run_time else "constants",
-        "gains_sha256": gains_hash,
-    }
+    metadata = (
+        header(config)
+        | judges(config)
+        | {
+            "jaxftc": __version__,
+            "joint_names": list(config.robot.joint_names),
+            "torque_limit_nm": limits,
+            "control": config.control,
+            "decision": config.decision,
+            "real": real,
+            "gains": "at run time" if at_run_time else "constants",
+            "gains_sha256": gains_hash,
+        }
+    )
     return Tick(config, real, own, at_run_time, state, metadata)
 
 

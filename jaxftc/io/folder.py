@@ -46,7 +46,9 @@ def differences(had: dict[str, Any], asked: dict[str, Any]) -> list[str]:
         return value[-1] if isinstance(value, list) else value
 
     def shown(value: Any) -> str:
-        return "unset" if value is None else " of content ".join(map(str, value)) if isinstance(value, list) else repr(value)
+        if value is None:
+            return "left out"
+        return " of content ".join(map(str, value)) if isinstance(value, list) else repr(value)
 
     return [
         f"--{key.replace('_', '-')} {shown(had.get(key))}, asked for {shown(asked.get(key))}"

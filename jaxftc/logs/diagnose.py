@@ -47,7 +47,7 @@ class Stream:
 
     def __init__(self, config: Config, gains: Gains) -> None:
         Diagnoser(config, gains)  # refuses what cannot be used
-        leaves, ranks = jax.tree.leaves(gains), [len(spec.axes) for _, _, spec in specs()]
+        leaves, ranks = jax.tree.leaves(gains), [len(spec.axes) for _, _, spec in specs(gains)]
         self.swept = np.broadcast_shapes(*(leaf.shape[rank:] for leaf, rank in zip(leaves, ranks, strict=True)))
         self.config, self.gains, self.dtype = config, align(gains, len(self.swept)), gains.arx.xi_a.dtype
         self.state: Any = None

@@ -27,9 +27,8 @@ class Event(NamedTuple):
     joint: int  # from 1; of a contact the joint that moves the link
     joint_name: str
     kind: str  # actuator, sensor, both or contact
-    size: (
-        float  # mean torque in N m, or largest error of the reading in deg; of both the torque; of a contact mean force in N
-    )
+    size: float  # mean size of the torque in N m, with the sign of its mean; or largest error of the reading in deg; of both
+    # the torque; of a contact mean force in N
     unit: str
 
 
@@ -39,7 +38,7 @@ class _Open:
     def __init__(self, start: int) -> None:
         self.start = self.end = start
         self.up = self.actuator = self.sensor = self.contact = 0  # ticks
-        self.torque = self.angle = 0.0  # sum over the actuator's ticks; largest
+        self.torque = self.size = self.angle = 0.0  # sums over the actuator's ticks, with and without sign; largest
 
     def add(self, at: np.ndarray, verdict: np.ndarray, torque: np.ndarray, angle: np.ndarray) -> None:
         """Ticks of alarm, in order."""
@@ -49,6 +48,7 @@ class _Open:
         self.contact += int((verdict & int(Verdict.CONTACT) > 0).sum())
         self.actuator, self.sensor = self.actuator + int(actuator.sum()), self.sensor + int(sensor.sum())
         self.torque += float(torque[actuator].sum())
+        self.size += float(np.abs(torque[actuator]).sum())
         if sensor.any():
             largest = float(angle[sensor][np.abs(angle[sensor]).argmax()])
             self.angle = max(self.angle, largest, key=abs)
@@ -61,7 +61,7 @@ class _Open:
         """What is said of it."""
         least = SHARE * (self.up - self.contact)
         kind = Verdict(int(self.actuator >= least) * Verdict.ACTUATOR + int(self.sensor >= least) * Verdict.SENSOR)
-        torque = self.torque / max(self.actuator, 1)
+        torque = np.copysign(self.size / max(self.actuator, 1), self.torque)
         size = np.rad2deg(self.angle) if kind == Verdict.SENSOR else torque
         return Event(*times, joint + 1, name, kind.label, float(size), UNITS[kind == Verdict.SENSOR])
 

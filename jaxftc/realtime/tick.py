@@ -80,7 +80,7 @@ class Tick:
         """
         _not_forked()
         q = checks.filled(q)
-        self._one_arm("q", q)
+        checks.one_arm("q", q, self.config.n)
         return self._array(ravel_pytree(registry.init(self.config, self.gains, jnp.asarray(q)))[0])
 
     def step(self, state: Any, reference: Reference, measurement: Measurement) -> tuple[Any, Output]:
@@ -99,7 +99,7 @@ class Tick:
                 signals[k] = np.nan
                 continue
             if np.shape(signal) != shape:
-                self._one_arm(_NAMES[k], signal)
+                checks.one_arm(_NAMES[k], signal, self.config.n)
             signals[k] = checks.filled(signal)
         if getattr(state, "shape", None) != self._shape:
             came = list(np.shape(state)) if isinstance(state, jax.Array | np.ndarray) else f"a {type(state).__name__}"
@@ -108,10 +108,6 @@ class Tick:
         out = list(np.asarray(rows))
         out[_VERDICT], out[_DETECTED] = out[_VERDICT].astype(np.int32), out[_DETECTED][0] > 0
         return state, Output(*out)
-
-    def _one_arm(self, name: str, value: Any) -> None:
-        if np.shape(value) != (self.config.n,):
-            raise ValueError(f"{name} must have shape [{self.config.n}], one arm's joints, got {list(np.shape(value))}")
 
 
 def _not_forked() -> None:

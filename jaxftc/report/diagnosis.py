@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,9 @@ class Envelope:
 
 
 def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelope], levels: dict[str, np.ndarray],
-                   joints: tuple[str, ...], remarks: tuple[str, ...]) -> str:  # fmt: skip
-    """Timeline over the residuals; ``curves`` and ``levels`` by channel: tau in N m, q in rad."""
+                   joints: tuple[str, ...], remarks: tuple[str, ...],
+                   ran: Mapping[str, Any]) -> str:  # fmt: skip
+    """Timeline over the residuals; ``curves`` and ``levels`` by channel: tau in N m, q in rad; ``ran`` is what ran."""
     tau, q = curves["tau"].curve, np.rad2deg(curves["q"].curve)
     duration = max(record["duration_s"], record["sample_time_s"])
     panels = [
@@ -69,4 +71,4 @@ def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelop
     )
     share = f"{duration:.4g} s, alarm in {100 * record['alarm_share']:.3g} % of the ticks, "
     share += f"{record['glitches']} glitches (shorter than an event)."
-    return page(title, ["<h2>Events</h2>", notes([share]), said, notes(remarks), embed(figure)], joints)
+    return page(title, ["<h2>Events</h2>", notes([share]), said, notes(remarks), embed(figure)], joints, ran)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import plotly.graph_objects as go
 
@@ -21,8 +24,8 @@ STATUS = (
 FIRST = "The first joint, until another is chosen above."
 
 
-def identify_page(before: Robot, found: Identified, log: Log, title: str) -> str:
-    """The whole page; ``log`` is the one whose torques are drawn."""
+def identify_page(before: Robot, found: Identified, log: Log, title: str, ran: Mapping[str, Any]) -> str:
+    """The whole page; ``log`` is the one whose torques are drawn, ``ran`` what ran."""
     names = before.joint_names
     m = motion(log)
     recorded = found.gain * m.tau
@@ -37,7 +40,7 @@ def identify_page(before: Robot, found: Identified, log: Log, title: str) -> str
         notes([STATUS]),
         parameter_table(found, names),
     ]
-    return page(title, sections, names)
+    return page(title, sections, names, ran)
 
 
 def share_table(held: Share, names: tuple[str, ...]) -> str:

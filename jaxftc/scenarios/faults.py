@@ -117,10 +117,13 @@ def _wrapped(x: Reading) -> Array:
 
 
 def _rounded(x: Reading) -> Array:
-    """In whole counts; the slope is that of the clean reading."""
-    count = jnp.where(x.size > 0, x.size, 1.0)
-    error = jnp.where(x.size > 0, count * jnp.round(x.clean / count) - x.clean, 0.0)
-    return x.clean + lax.stop_gradient(error)
+    return in_counts(x.clean, x.size)
+
+
+def in_counts(x: Array, size: Array) -> Array:
+    """Angles [n, ...] rad in whole counts of a size in rad, 0 for none; the slope is that of ``x``."""
+    count = jnp.where(size > 0, size, 1.0)
+    return x + lax.stop_gradient(jnp.where(size > 0, count * jnp.round(x / count) - x, 0.0))
 
 
 def _saturated(x: Torque) -> Array:

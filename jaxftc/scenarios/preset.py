@@ -60,9 +60,11 @@ class Encoder(Table):
     """The encoder without a fault."""
 
     noise_rad: Law = ENCODER_NOISE  # rad, standard deviation
+    resolution_rad: Law = 0.0  # rad, size of a count; 0 for readings in no counts
 
     def __post_init__(self) -> None:
         require("noise_rad", self.noise_rad, 0.0)
+        require("resolution_rad", self.resolution_rad, 0.0)
 
 
 @dataclasses.dataclass(frozen=True)

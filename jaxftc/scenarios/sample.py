@@ -37,7 +37,7 @@ from jaxftc.scenarios.faults import (
     common,
     kinds,
 )
-from jaxftc.scenarios.preset import Paper, Preset, Times
+from jaxftc.scenarios.preset import Encoder, Paper, Preset, Times
 from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.reference import within_range
 from jaxftc.scenarios.scenario import CONDITIONS, Scenario, paper_motion, paper_scenario, stack
@@ -45,7 +45,7 @@ from jaxftc.scenarios.uniforms import DEALT, UniformStream
 from jaxftc.types import Array
 
 DEG = math.radians(1.0)  # rad
-CONTACT = 300  # number of the stream that contacts are dealt from; kinds of fault have those below
+CONTACT, RESOLUTION = 300, 301  # numbers of the streams that those are dealt from; kinds of fault have the ones below
 
 
 def sample_scenarios(key: Array, n: int, preset: str | Path | Preset = "standard", *, config: Config) -> Scenario:
@@ -149,6 +149,7 @@ def draw(preset: Preset, config: Config, key: Array, scenario_id: Array) -> Scen
         plant=Plant(mass, payload, armature, damping, coulomb, torque_constant),
         contact=_contact(preset, n, stream, condition == 4, law),
         uncommon=_uncommon(preset),
+        resolution=_resolution(preset.encoder, stream),
     )
 
 
@@ -208,6 +209,11 @@ def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: d
         return None
     links = preset.contact.links or range(1, n + 1)
     return contact.draw(preset.contact, stream.apart(CONTACT, 8), list(links), there, law)
+
+
+def _resolution(encoder: Encoder, stream: UniformStream) -> Array | None:
+    """The size of a count, from a number of its own; None if readings never come in counts."""
+    return None if encoder.resolution_rad == 0.0 else stream.apart(RESOLUTION, 1)(encoder.resolution_rad)
 
 
 def _uncommon(preset: Preset) -> tuple[()] | None:

@@ -45,6 +45,8 @@ class Scenario(NamedTuple):
         contact: A force on a link; None where no scenario of a set has one: their programs are smaller and faster.
         uncommon: () where faults may be of any kind; None where all are of the common ones, bias, loss and a stuck motor,
             bias, drift, scale, freeze and noise of an encoder: those programs are smaller and faster, too.
+        resolution: [...] rad, size of the counts in which all readings come, 0 for none; None where no scenario of a set
+            has any.
     """
 
     id: Array
@@ -56,6 +58,7 @@ class Scenario(NamedTuple):
     plant: Plant
     contact: Contact | None = None
     uncommon: tuple[()] | None = ()
+    resolution: Array | None = None
 
     with_contact = contacts.with_contact
     with_actuator_bias = builders.with_actuator_bias
@@ -86,6 +89,7 @@ def healthy_scenario(
     q_start: ArrayLike | None = None,
     q_goal: ArrayLike | None = None,
     noise: float = ENCODER_NOISE,
+    resolution: float | None = None,
     scenario_id: int = 0,
 ) -> Scenario:
     """A motion without a fault, of an arm that is as its model; its ``with_...`` methods add faults.
@@ -96,20 +100,22 @@ def healthy_scenario(
             into the joints' ranges.
         q_goal: [n] rad, where it ends; the paper's, or one radian from the zero position, moved into the ranges.
         noise: Standard deviation of the encoders, rad.
+        resolution: Size of the counts in which the encoders read, rad; none if not given.
         scenario_id: The encoders' noise depends on the key and on this number.
 
     Returns:
         One scenario.
 
     Raises:
-        ValueError: angles that are not n finite numbers, or noise that is negative or not finite.
+        ValueError: angles that are not n finite numbers, or noise or resolution that is negative or not finite.
     """
     checks.instance("config", config, Config)
     start, goal = paper_motion(config)
     start = start if q_start is None else _angles("q_start", q_start, config.n)
     goal = goal if q_goal is None else _angles("q_goal", q_goal, config.n)
-    if not (math.isfinite(noise) and noise >= 0):
-        raise ValueError(f"noise must be finite and not negative, in rad, got {noise!r}")
+    for name, value in (("noise", noise), ("resolution", resolution or 0.0)):
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"{name} must be finite and not negative, in rad, got {value!r}")
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),
         q_start=start,
@@ -118,6 +124,7 @@ def healthy_scenario(
         fault_tau=no_fault(config.n),
         fault_q=no_fault(config.n),
         plant=nominal_plant(config.robot),
+        resolution=None if resolution is None else jnp.asarray(resolution, float),
     )
 
 
@@ -178,6 +185,10 @@ def stack(scenarios: list[Scenario]) -> Scenario:
         scenarios = [scenario._replace(contact=scenario.contact or no_contact()) for scenario in scenarios]
     if any(scenario.uncommon is not None for scenario in scenarios):
         scenarios = [scenario._replace(uncommon=()) for scenario in scenarios]
+    if any(scenario.resolution is not None for scenario in scenarios):
+        zero = jnp.zeros_like(scenarios[0].noise)
+        sizes = [zero if scenario.resolution is None else scenario.resolution for scenario in scenarios]
+        scenarios = [scenario._replace(resolution=size) for scenario, size in zip(scenarios, sizes, strict=True)]
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios)
 
 

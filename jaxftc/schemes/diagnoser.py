@@ -233,11 +233,13 @@ class Diagnoser:
     ``step`` is pure: jit it, scan it, or vmap it over arms (arrays [n, ...], scenarios last).
 
     Args:
-        config: Robot, sample time, and whether contacts are judged; nothing else of it counts.
+        config: Robot, sample time, and whether contacts are judged. It names by the rule, and learns nothing of the arm: a
+            config that asks for more is refused. Nothing else of it counts.
         gains: Of ``default_gains`` or ``jaxftc calibrate --logs``.
 
     Raises:
-        ValueError: a gain is not allowed, or the observer is unstable with them at ``config.dt``.
+        ValueError: a gain is not allowed, the observer is unstable with them at ``config.dt``, or the config asks for what
+            only a controller of ours does.
     """
 
     def __init__(self, config: Config, gains: Gains) -> None:
@@ -247,6 +249,11 @@ class Diagnoser:
             raise ValueError(
                 'the diagnoser needs input="rigid_body": it holds torques against the arm\'s model; without one give NaN '
                 "torques, and the readings alone are judged"
+            )
+        if config.decision != "rule" or config.adaptive:
+            raise ValueError(
+                'the diagnoser names by the rule and learns nothing of the arm; give Config(decision="rule", '
+                f"adaptive=False), got decision={config.decision!r}, adaptive={config.adaptive!r}"
             )
         check_gains(config, gains)
         stability.check(config, gains)

@@ -137,7 +137,7 @@ def _positive(x: np.ndarray) -> np.ndarray:
 
 
 _OWN = {  # shapes of leaves that are neither a number a joint nor one a contact
-    **dict.fromkeys(("scenario.id", "scenario.noise", "scenario.plant.payload"), ()),
+    **dict.fromkeys(("scenario.id", "scenario.noise", "scenario.resolution", "scenario.plant.payload"), ()),
     **dict.fromkeys(("scenario.contact.offset", "scenario.contact.axis"), (3,)),
 }
 _ALLOWED = {  # leaves that may be more or less than any finite number
@@ -146,6 +146,7 @@ _ALLOWED = {  # leaves that may be more or less than any finite number
     "duty": (lambda x: (x >= 0) & (x <= 1), "lie in [0, 1]"),
     "kind": (lambda x: (x >= 0) & (x <= max(max(Actuator), max(Sensor))) & (x == np.round(x)), "be an Actuator or a Sensor"),
     "noise": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
+    "resolution": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
     "link": (lambda x: (x >= 0) & (x == np.round(x)), "be a link's number, from 1, or 0 for none"),
     "size": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
     "payload": (lambda x: (x >= 0) & np.isfinite(x), "be finite and not negative"),
@@ -175,7 +176,7 @@ def advance(
     """One tick of plant, faults and controller at t s; reading_error [n, ...] rad is the encoder's noise."""
     axes, robot = loop.q.ndim - 1, config.robot
     fault_tau, fault_q = _align(scenario.fault_tau, axes), _align(scenario.fault_q, axes)
-    fault, y, angle_fault = fault_injection.read(fault_q, loop.fault, t, loop.q, reading_error)
+    fault, y, angle_fault = fault_injection.read(fault_q, loop.fault, t, loop.q, reading_error, scenario.resolution)
     desired = reference.cubic(trailing(scenario.q_start, 1, axes), trailing(scenario.q_goal, 1, axes), config.t_final, t)
     state, out = registry.tick(config, gains, loop.controller, desired, Measurement(y, loop.tau), on)
     limit = lanes.trailing_constant(robot.torque_limit, loop.q)

@@ -14,7 +14,7 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxftc.numerics.barrier import store
-from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Reading, Sensor, Torque, common
+from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Reading, Sensor, Torque, common, in_counts
 from jaxftc.simulation.fault_profiles import present, size
 from jaxftc.types import Array
 
@@ -103,8 +103,13 @@ def deliver(fault: Fault, state: State, t: Array, tau: Array, limit: Array, moti
     return state._replace(tau=held, uncommon=more), delivered
 
 
-def read(fault: Fault, state: State, t: Array, q: Array, noise: Array) -> tuple[State, Array, Array]:
-    """(state, reading [n, ...] rad, fault in it [n, ...] rad) for an angle q and encoder noise [n, ...] rad."""
+def read(
+    fault: Fault, state: State, t: Array, q: Array, noise: Array, resolution: Array | None = None
+) -> tuple[State, Array, Array]:
+    """(state, reading [n, ...] rad, fault in it [n, ...] rad) for an angle q and encoder noise [n, ...] rad.
+
+    ``resolution`` [...] is the size in rad of the counts in which a reading comes, if it does.
+    """
     there, share, more = present(fault, t), size(fault, t), state.uncommon
     clean = late = q + noise
     held = jnp.where(there, state.y, clean)
@@ -113,7 +118,8 @@ def read(fault: Fault, state: State, t: Array, q: Array, noise: Array) -> tuple[
         more = more._replace(readings=readings)
     signal = Reading(q, noise, share * fault.magnitude, share, fault.magnitude, t - fault.onset, held, late)
     reading = _effect(Sensor, fault, there, signal, clean, more is not None)
-    return state._replace(y=held, uncommon=more), reading, jnp.where(jnp.isnan(reading), 0.0, reading - clean)
+    state, wrong = state._replace(y=held, uncommon=more), jnp.where(jnp.isnan(reading), 0.0, reading - clean)
+    return state, reading if resolution is None else in_counts(reading, resolution), wrong
 
 
 def _late(some: Array, past: Past, now: Array, ticks: Array) -> tuple[Past, Array]:

@@ -236,7 +236,7 @@ def test_rows_without_a_manifest_are_nobodys(refused, tmp_path):
         (["--preset", "hard"], "--preset standard of content "),
         (["--compare", "pi,eso"], "holds the campaign of one scheme"),
         (["--no-coulomb"], "--coulomb True, asked for False"),
-        (["--false-alarms", "0.02"], "--false-alarms unset, asked for 0.02"),
+        (["--false-alarms", "0.02"], "--false-alarms left out, asked for 0.02"),
     ],
 )
 def test_another_campaign_in_the_same_folder_is_refused(folder, refused, change, words):

@@ -277,6 +277,14 @@ def test_what_cannot_learn_says_so(config, change):
 
 def test_it_is_a_variant_by_name(config):
     assert jaxftc.variants.changes("adaptive") == {"adaptive": True}
+    with pytest.raises(ValueError, match=r"got 'adaptive'; that is adaptive=True of the scheme 'cascade'"):
+        dataclasses.replace(config, scheme="adaptive")
+
+
+@pytest.mark.parametrize("value", ["no", 1, 0, None])
+def test_it_is_on_or_off(config, value):
+    with pytest.raises(ValueError, match="adaptive must be True or False, got"):
+        dataclasses.replace(config, adaptive=value)
 
 
 def test_its_gains_are_tuned_where_it_runs(config, off):

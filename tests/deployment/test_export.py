@@ -176,6 +176,8 @@ def test_the_header_says_what_it_is(exported, real):
         assert re.search(rf"\b{leaf.name}(\[2\])?; /\* .+ \*/", out), leaf.name
     assert ("ftc_default_gains" in header) == (real == "float")
     metadata = json.loads((folder / "ftc.json").read_text())
+    assert {"scheme": "cascade", "adaptive": False, "decision": "rule"}.items() <= metadata.items()
+    assert re.search(r"decision +rule", header) and "FTC_UNKNOWN, FTC_CONTACT = 8" in header and "``" not in header
     assert metadata["gains_sha256"] == sha256 and metadata["robot_fingerprint"] == two_hinges().fingerprint
 
 
@@ -280,6 +282,25 @@ def test_stablehlo_is_loaded_with_its_metadata_and_its_gains_can_change(exported
     names = [leaf["name"] for leaf in loaded.metadata["signals"]["gains"]]
     loaded.gains[names.index("diagnosis_alpha_tau")] *= 2
     np.testing.assert_allclose(loaded.step(state, *signals)[1].threshold_tau, 2 * np.asarray(out.threshold_tau))
+
+
+def test_the_loaded_tick_checks_what_it_is_given(exported):
+    loaded = jaxftc.export.load(exported["double"][0])
+    at, none = np.full(2, 0.1), np.zeros(2)
+    state, still = loaded.init(at), jaxftc.Reference(at, none, none)
+    unknown, nan = (loaded.step(state, still, jaxftc.Measurement(at, tau))[1].tau for tau in (None, none + np.nan))
+    np.testing.assert_array_equal(unknown, nan)
+    for words, use in {
+        r"q must have shape \[2\]": lambda: loaded.init(np.zeros(3)),
+        "q must be finite": lambda: loaded.init(none + np.nan),
+        r"measurement.q must have shape \[2\].*got \[3\]": lambda: loaded.step(
+            state, still, jaxftc.Measurement(np.zeros(3))
+        ),
+        "reference must be a Reference": lambda: loaded.step(state, at, jaxftc.Measurement(at)),
+        "state must be the list of": lambda: loaded.step(state[1:], still, jaxftc.Measurement(at)),
+    }.items():
+        with pytest.raises(ValueError, match=words):
+            use()
 
 
 def test_a_folder_that_is_not_as_it_was_written_is_refused(exported, tmp_path):

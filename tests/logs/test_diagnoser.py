@@ -476,6 +476,13 @@ def test_a_fault_in_which_a_contact_was_said_for_a_moment_is_a_fault():
     assert [(e.joint, e.kind) for e in line.finish()] == [(1, "actuator"), (2, "contact")]
 
 
+def test_a_torque_that_changes_its_sign_is_not_small():
+    torque = np.where(np.arange(600) % 2, 5.0, -4.0)[:, None]
+    line = Timeline(("a", "b"), DT)
+    line.add(said_of(ticks((100, 200)), torque), 0.0)
+    assert line.finish()[0].size == pytest.approx(4.5)
+
+
 def test_the_kind_is_what_was_said_most_of_the_time():
     verdict = ticks((100, 200), kind=2)
     verdict[100:110, 0] = 1
@@ -522,6 +529,7 @@ def test_diagnose_writes_the_timeline(files, capsys):
     said = json.loads(capsys.readouterr().out)
     assert {"sample_time_s", "duration_s", "alarm_share", "events"} <= said.keys() and said["sample_time_s"] == DT
     assert [(e["joint"], e["kind"]) for e in said["events"]] == [(2, "sensor")]
+    assert said["provenance"]["gains"]["file"] == str(files / "gains.toml") and said["provenance"]["robot"]["name"]
     assert set(said["events"][0]) == {"start_s", "end_s", "joint", "joint_name", "kind", "size", "unit"}
     with (out / "events.csv").open() as text:
         assert [row["joint_name"] for row in csv.DictReader(text)] == ["shoulder_joint"]
@@ -530,7 +538,16 @@ def test_diagnose_writes_the_timeline(files, capsys):
     rows = duckdb.sql(f"select count(*), max(t), max(verdict_shoulder_joint) from '{out}/samples.parquet'").fetchall()[0]
     assert rows == (1600, pytest.approx(15.99), 2)
     page = (out / "report.html").read_text()
-    assert "shoulder_joint" in page and "Residuals and events" in page
+    assert "shoulder_joint" in page and "Residuals and events" in page and "What ran" in page
+
+
+@pytest.mark.parametrize("change", [{"decision": "learned"}, {"adaptive": True}])
+def test_what_only_a_controller_of_ours_does_is_refused(config, log, change):
+    asked = dataclasses.replace(config, **change)
+    gains = jaxftc.default_gains(asked)
+    for use in (lambda: jaxftc.Diagnoser(asked, gains), lambda: logs.diagnose(asked, gains, log)):
+        with pytest.raises(ValueError, match="the diagnoser names by the rule and learns nothing of the arm; give Config"):
+            use()
 
 
 def test_a_log_is_brought_to_the_sample_time_of_the_gains(files, arm, capsys):

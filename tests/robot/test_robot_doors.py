@@ -442,7 +442,8 @@ def test_gains_file_says_units_robot_and_version(config, gains_file):
     table = tomllib.loads(gains_file.read_text())
     robot = config.robot
     system = {"robot": robot.name, "robot_fingerprint": robot.fingerprint, "dt": 1e-3, "order_a": 3, "order_b": 2}
-    assert table["made_with"] == {"jaxftc": jaxftc.__version__, "input": "rigid_body"} | system
+    judges = {"scheme": "cascade", "observer": "ts", "adaptive": False}
+    assert table["made_with"] == {"jaxftc": jaxftc.__version__, "input": "rigid_body"} | system | judges
     assert table["control"]["lam"] == {"unit": "1/s", "value": [20.0] * 6}
 
 
@@ -508,6 +509,18 @@ def test_gains_of_another_system_are_refused(config, gains_file, change, text):
 def test_gains_serve_every_observer_control_and_engine(config, gains_file):
     other = dataclasses.replace(config, observer="pi", control="smc", engine="mjx", sign="hard", t_final=2.0)
     assert jaxftc.load_gains(gains_file, other).control.lam.shape == (6,)
+
+
+def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path):
+    from jaxftc.gains_file import caution
+
+    other = dataclasses.replace(config, adaptive=True)
+    assert caution(gains_file, config) is None
+    assert "was made with scheme cascade, observer ts, adaptive False; here scheme cascade, observer ts, adaptive True" in (
+        caution(gains_file, other)
+    )
+    jaxftc.save_gains(tmp_path / "gains.toml", jaxftc.default_gains(config))
+    assert caution(tmp_path / "gains.toml", other) is None, "the file does not say"
 
 
 def test_gains_without_a_fingerprint_fit_any_system_of_their_shapes(config, tmp_path):

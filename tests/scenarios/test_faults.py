@@ -15,7 +15,7 @@ from jaxftc.scenarios.faults import Actuator, Fault, Sensor, no_fault
 from jaxftc.scenarios.scenario import CONDITIONS, paper_scenario, stack, trail
 from jaxftc.simulation import fault_injection, fault_profiles
 from jaxftc.simulation.closed_loop import encoder_noise
-from tests.arms import three_hinges
+from tests.arms import three_hinges, two_hinges
 
 LIMIT = jnp.array([10.0, jnp.inf])
 
@@ -106,6 +106,20 @@ def test_stuck_and_frozen_keep_what_was_there_at_onset():
     for k in range(30):
         state, tau = delivered(law, state, jnp.asarray(k * 0.01), jnp.full(2, float(k)))
     np.testing.assert_array_equal(tau, 9.0)  # onset at 0.1 s: the tick before carried 9
+
+
+def test_a_healthy_encoder_reads_in_counts():
+    """Beside one that does not; the truth of its fault is what the fault adds."""
+    config = jaxftc.Config(two_hinges(), engine="chain", duration=0.05)
+    count = 2.0**-10
+    coarse = jaxftc.healthy_scenario(config, resolution=count)
+    runs = stack([coarse.with_encoder_bias(1, 0.3 * count, onset=0.02), jaxftc.healthy_scenario(config)])
+    trace = jaxftc.simulate(config, jaxftc.default_gains(config), runs, jax.random.key(0))
+    counts, error = np.asarray(trace.y) / count, np.asarray(trace.y - trace.q)
+    assert (counts[0] == counts[0].round()).all() and (counts[1] != counts[1].round()).any()
+    assert (np.abs(error[0, :20]) <= 0.5 * count + 5 * 3e-5).all() and len(np.unique(counts[0])) > 10
+    np.testing.assert_allclose(trace.fault_q[0, 20:, 0], 0.3 * count, rtol=1e-3)
+    assert not np.asarray(trace.fault_q)[0, :20].any()
 
 
 @given(st.floats(0, 1), st.floats(0, 0.5), st.floats(0.01, 0.3), st.floats(0.02, 0.3), st.floats(0.1, 1))

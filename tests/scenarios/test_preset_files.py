@@ -107,6 +107,17 @@ def test_an_own_file_is_drawn_from(load, config, tmp_path):
         assert (np.asarray(scenarios.noise) == 1e-4).all() and (np.asarray(scenarios.fault_q.kind) == 0).all()
 
 
+def test_encoders_that_read_in_counts_change_no_other_draw(load, config):
+    fine = jaxftc.sample_scenarios(jax.random.key(0), 50, "hard", config=config)
+    load('base = "hard"\n[encoder]\nresolution_rad = { choice = [1e-5, 1e-4] }')
+    coarse = jaxftc.sample_scenarios(jax.random.key(0), 50, "my.toml", config=config)
+    assert fine.resolution is None and set(np.asarray(coarse.resolution).astype(np.float32)) == {
+        np.float32(1e-5),
+        np.float32(1e-4),
+    }
+    jax.tree.map(np.testing.assert_array_equal, coarse._replace(resolution=None), fine)
+
+
 def test_the_order_of_tables_does_not_matter(load):
     one = load(base("[sensor.noise]\nsize = 30\n[sensor.bias]\nsize = 1\n[joints]\nat_once = 2"))
     two = load(base("[joints]\nat_once = 2\n[sensor.bias]\nsize = 1\n[sensor.noise]\nsize = 30"))
