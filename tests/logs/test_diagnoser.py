@@ -1,6 +1,7 @@
 """Diagnosis under somebody else's controller: readings and torques of a small arm at 100 Hz, and events made of verdicts."""
 
 import csv
+import dataclasses
 import json
 
 import jax

@@ -511,7 +511,8 @@ def test_gains_serve_every_observer_control_and_engine(config, gains_file):
     assert jaxftc.load_gains(gains_file, other).control.lam.shape == (6,)
 
 
-def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path):
+def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path, capsys):
+    from jaxftc.cli import common
     from jaxftc.gains_file import caution
 
     other = dataclasses.replace(config, adaptive=True)
@@ -519,6 +520,9 @@ def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path):
     assert "was made with scheme cascade, observer ts, adaptive False; here scheme cascade, observer ts, adaptive True" in (
         caution(gains_file, other)
     )
+    for anew, said in ((True, ""), (False, f"{caution(gains_file, other)}\n")):
+        common.load_or_default(common.Options(gains=gains_file), other, anew=anew)
+        assert capsys.readouterr().err == said
     jaxftc.save_gains(tmp_path / "gains.toml", jaxftc.default_gains(config))
     assert caution(tmp_path / "gains.toml", other) is None, "the file does not say"
 
