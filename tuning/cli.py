@@ -110,7 +110,7 @@ class Tune(common.Options):
         config = self._config()
         preset = load_preset(self.preset)
         free = transform.select(config, self.only, self.freeze)
-        start = common.load_or_default(self, config)
+        start = common.load_or_default(self, config, preset=preset)
         train, validate, noise = jax.random.split(common.key(self), 3)
         count = self.settings.steps * self.settings.batch
         training = sample_scenarios(train, count, preset, config=config)

@@ -58,7 +58,7 @@ class Laws(common.Options):
                 f"no fault of preset {self.preset!r} begins within {duration:g} s; the first onset is at {onset:g} s, "
                 "so give a longer --duration"
             )
-        return Job(config, common.load_or_default(self, config, anew=anew), preset, self.seed, scheme)
+        return Job(config, common.load_or_default(self, config, anew=anew, preset=preset), preset, self.seed, scheme)
 
 
 @dataclasses.dataclass

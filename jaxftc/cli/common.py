@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from jaxftc.gains import Gains
     from jaxftc.robot.arm_table import Arm
     from jaxftc.robot.model import Robot
+    from jaxftc.scenarios.preset import Preset
 
 
 def left_out(value: str) -> Any:
@@ -239,13 +240,16 @@ def sample_time(options: Options) -> float:
     return options.dt
 
 
-def load_or_default(options: Options, config: Config, *, anew: bool = False) -> Gains:
-    """The gains that ``--gains`` names; a doubt of their thresholds goes to stderr, unless those are set ``anew``."""
+def load_or_default(options: Options, config: Config, *, anew: bool = False, preset: Preset | None = None) -> Gains:
+    """The gains that ``--gains`` names, or the default ones for the encoders of a preset.
+
+    A doubt of their thresholds goes to stderr, unless those are set ``anew``.
+    """
     from jaxftc import default_gains, load_gains
     from jaxftc.gains_file import caution
 
     if options.gains is None:
-        return default_gains(config)
+        return default_gains(config, **({} if preset is None else preset.encoder.level))
     gains, doubt = load_gains(options.gains, config), caution(options.gains, config)
     if doubt and not anew:
         print(doubt, file=sys.stderr)

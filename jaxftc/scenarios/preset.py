@@ -14,7 +14,7 @@ from typing import Annotated
 from pydantic import Strict
 
 from jaxftc.scenarios.contact import ContactLaw
-from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
+from jaxftc.scenarios.distributions import Law, Real, Table, extent, require, require_number
 from jaxftc.scenarios.faults import ActuatorFaults, AngleBias, SensorFaults, TorqueBias, kinds
 from jaxftc.scenarios.preset_error import PresetError, is_integer
 from jaxftc.scenarios.scenario import ENCODER_NOISE, PAPER_ANGLE, PAPER_TORQUE
@@ -65,6 +65,13 @@ class Encoder(Table):
     def __post_init__(self) -> None:
         require("noise_rad", self.noise_rad, 0.0)
         require("resolution_rad", self.resolution_rad, 0.0)
+
+    @property
+    def level(self) -> dict[str, float]:
+        """What ``default_gains`` has to know of readings in counts; nothing of others, whose noise its numbers are for."""
+        if self.resolution_rad == 0.0:
+            return {}
+        return {"noise": extent(self.noise_rad)[1], "resolution": extent(self.resolution_rad)[1]}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -118,6 +118,22 @@ def test_encoders_that_read_in_counts_change_no_other_draw(load, config):
     jax.tree.map(np.testing.assert_array_equal, coarse._replace(resolution=None), fine)
 
 
+def test_commands_take_the_default_gains_for_encoders_that_read_in_counts(load, config):
+    from jaxftc.cli import common
+
+    usual = jaxftc.default_gains(config)
+    for text, level in {
+        "noise_rad = 1e-4": {},
+        "resolution_rad = 4e-4": {"noise": 3e-5, "resolution": 4e-4},
+        "resolution_rad = { choice = [1e-4, 4e-4] }": {"noise": 3e-5, "resolution": 4e-4},
+        "noise_rad = { uniform = [1e-6, 2e-5] }\nresolution_rad = 1e-3": {"noise": 2e-5, "resolution": 1e-3},
+    }.items():
+        preset = load(f'base = "hard"\n[encoder]\n{text}')
+        assert preset.encoder.level == pytest.approx(level)
+        gains = common.load_or_default(common.Options(), config, preset=preset)
+        assert (gains.observer.jump > usual.observer.jump).all() == bool(level)
+
+
 def test_the_order_of_tables_does_not_matter(load):
     one = load(base("[sensor.noise]\nsize = 30\n[sensor.bias]\nsize = 1\n[joints]\nat_once = 2"))
     two = load(base("[joints]\nat_once = 2\n[sensor.bias]\nsize = 1\n[sensor.noise]\nsize = 30"))
