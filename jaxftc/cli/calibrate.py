@@ -102,8 +102,7 @@ class Calibrate(Laws):
         from jaxftc.campaigns.follow import with_shares
         from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
         from jaxftc.cli import record
-        from jaxftc.cli.diagnose import log_config
-        from jaxftc.cli.identify import read_logs
+        from jaxftc.cli.identify import log_config, read_logs
 
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         logs = read_logs(self, self.logs, arm)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from jaxftc.cli import common, results
-from jaxftc.cli.identify import LogOptions, reading
+from jaxftc.cli.identify import LogOptions, log_config, reading
 from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
@@ -165,13 +165,6 @@ class Samples:
                 self._rows.execute("copy samples to $path (format parquet)", {"path": str(temporary)})
         self._rows.close()
         self._table.unlink(missing_ok=True)
-
-
-def log_config(robot: Any, dt: float) -> Config:
-    """The config of a log's sample time."""
-    from jaxftc import Config
-
-    return Config(robot, dt=dt, t_final=dt, engine="chain")
 
 
 def np_arange(count: int) -> Any:

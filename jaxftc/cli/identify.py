@@ -12,6 +12,7 @@ from jaxftc.cli import common, results
 from jaxftc.io.text_table import aligned
 
 if TYPE_CHECKING:
+    from jaxftc.config import Config
     from jaxftc.identify.physical import Identified, Share
     from jaxftc.logs import Log
     from jaxftc.robot.arm_table import Arm
@@ -89,7 +90,6 @@ class Identify(LogOptions, common.ArmOptions):
             raise ValueError("give at least one log: jaxftc identify LOG... --robot FILE --out DIR")
         common.prepare(self)
         from jaxftc.cli import record
-        from jaxftc.cli.diagnose import log_config
 
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
@@ -162,6 +162,13 @@ class Identify(LogOptions, common.ArmOptions):
             columns=names,
         )
         return Arm(found.robot, recording)
+
+
+def log_config(robot: Any, dt: float) -> Config:
+    """The config of a log's sample time."""
+    from jaxftc import Config
+
+    return Config(robot, dt=dt, t_final=dt, engine="chain")
 
 
 def as_json(held: Share) -> dict[str, Any]:

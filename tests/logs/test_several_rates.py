@@ -5,8 +5,7 @@ import types
 import numpy as np
 
 from jaxftc.cli.calibrate import one_rate
-from jaxftc.cli.diagnose import log_config
-from jaxftc.cli.identify import read_logs
+from jaxftc.cli.identify import log_config, read_logs
 from jaxftc.robot.arm_table import Arm, Recording
 from tests import small_logs
 
