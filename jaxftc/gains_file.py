@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from jaxftc import variants
 from jaxftc.config import Config
 from jaxftc.decision_gains import shipped
 from jaxftc.gains import Gains, Spec, blocks, build, specs
@@ -16,18 +17,21 @@ from jaxftc.io.files import write_text
 from jaxftc.io.toml import read_toml
 from jaxftc.version import __version__
 
+DIAGNOSER = "diagnoser"  # in place of a scheme: thresholds of jaxftc.Diagnoser
 
-def save_gains(path: str | Path, gains: Gains, config: Config | None = None) -> None:
+
+def save_gains(path: str | Path, gains: Gains, config: Config | None = None, *, scheme: str | None = None) -> None:
     """Write gains with their units to a TOML file, whole or not at all.
 
     Args:
         path: The file.
         gains: One set, without scenario axes.
         config: What they belong to, if it is to be in the file: robot, time step and structure.
+        scheme: Whose thresholds they are, if not the config's: ``diagnoser`` for those of ``Diagnoser``.
     """
     table: dict[str, Any] = {"made_with": {"jaxftc": __version__}}
     if config is not None:
-        table["made_with"] |= header(config) | judges(config)
+        table["made_with"] |= header(config) | made_for(config, scheme)
     for block, name, spec in specs(gains):
         value = np.asarray(getattr(getattr(gains, block), name))
         value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
@@ -76,7 +80,7 @@ def load_gains(path: str | Path, config: Config) -> Gains:
             value = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
             values[block][name] = value
     if config.decision == "learned":
-        values["decision"] = _weights(path, weights, known)
+        values["decision"] = dict(shipped(config.dt)) if weights is None else _weights(path, weights, known)
     missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
     if missing:
         raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
@@ -109,20 +113,22 @@ def header(config: Config) -> dict[str, Any]:
     }
 
 
-def judges(config: Config) -> dict[str, Any]:
-    """What thresholds belong to, beside the rest."""
+def made_for(config: Config, scheme: str | None = None) -> dict[str, Any]:
+    """What thresholds belong to, beside the rest: the config's scheme, or ``DIAGNOSER``."""
+    if scheme == DIAGNOSER:
+        return {"scheme": scheme}
     return {"scheme": config.scheme, "observer": config.observer, "adaptive": config.adaptive}
 
 
-def caution(path: str | Path, config: Config) -> str | None:
-    """What to know of a file whose thresholds are of another scheme, if they are.
+def caution(path: str | Path, config: Config, scheme: str | None = None) -> str | None:
+    """What to know of a file whose thresholds may be of another scheme, if they are; of one that judges nothing, nothing.
 
     Raises:
         ValueError: the file cannot be read.
     """
-    made_with, ours = read_toml(path, "gains").get("made_with"), judges(config)
+    made_with, ours = read_toml(path, "gains").get("made_with"), made_for(config, scheme)
     theirs = {k: made_with.get(k, v) for k, v in ours.items()} if isinstance(made_with, dict) else ours
-    if theirs == ours:
+    if theirs == ours or (scheme is None and not variants.load(config.scheme).DIAGNOSES):
         return None
     other, here = (", ".join(f"{k} {v}" for k, v in one.items()) for one in (theirs, ours))
     return (
@@ -131,10 +137,7 @@ def caution(path: str | Path, config: Config) -> str | None:
     )
 
 
-def _weights(path: str | Path, entries: dict[str, Any] | None, known: dict[tuple[str, str], Spec]) -> dict[str, np.ndarray]:
-    """Those of the file, or those that come with the library."""
-    if entries is None:
-        return dict(shipped())
+def _weights(path: str | Path, entries: dict[str, Any], known: dict[tuple[str, str], Spec]) -> dict[str, np.ndarray]:
     return {n: _read_entry(path, f"decision.{n}", entry, known.get(("decision", n)), known) for n, entry in entries.items()}
 
 

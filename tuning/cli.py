@@ -135,9 +135,9 @@ class Tune(common.Options):
             if writes:
                 common.say(self, f"comparing the gains on {self.held_out} held-out scenarios of each preset")
             unseen = jax.random.fold_in(jax.random.key(seed), HELD_OUT)
-            comparisons = compare(
-                config, start, result.gains, unseen, n=self.held_out, objective=objective, batch=self.settings.batch
-            )
+            settings = {"n": self.held_out, "objective": objective, "batch": self.settings.batch}
+            encoder = preset.encoder if preset.encoder.in_counts else None
+            comparisons = compare(config, start, result.gains, unseen, encoder=encoder, **settings)
             if folder is None:
                 return
             text = self._write(folder, config, start, result, comparisons, seed)

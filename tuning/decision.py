@@ -1,12 +1,13 @@
 """Training of the learned decision: random arms, campaigns through the closed loop, a small network.
 
     python -m tuning.decision --out decision.toml
+    python -m tuning.decision --slower --out slower_decision.toml
 
-makes the weights that come with the library (``jaxftc/diagnosis/decision.toml``). Each arm gets default gains and thresholds
-for 1 % of healthy runs with an alarm, for each preset. The runs have every kind of fault of the presets, and all of them
-together, on one joint or two. What the network is shown is recorded by the function that shows it in the tick. It is trained
-on moments between alarm and clearance, to say of each joint which channels are at fault; the two moments at which campaigns
-score a verdict are always among them.
+make the weights that come with the library (in ``jaxftc/diagnosis``): for loops of 1 kHz, and for slower ones. Each arm
+gets default gains and thresholds for 1 % of healthy runs with an alarm, for each preset. The runs have every kind of fault
+of the presets, and all of them together, on one joint or two. What the network is shown is recorded by the function that
+shows it in the tick. It is trained on moments between alarm and clearance, to say of each joint which channels are at fault;
+the two moments at which campaigns score a verdict are always among them.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from jaxftc.types import Array
 from tuning.random_arms import random_arm
 
 ARMS = 24  # in training; of each twelve the last six are learned while they run
+SLOWER = 0.002, 0.004, 0.01  # s, sample times of slower loops, in turn
 UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
 RUNS = {"standard": 512, "hard": 2048, "doubles": 512, "uncommon": 512, "mixed": 768}  # of each arm; mostly single faults
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
@@ -234,14 +236,23 @@ def as_toml(weights: DecisionGains) -> str:
     return "# Weights of the learned decision, made by python -m tuning.decision\n" + tomli_w.dumps({"decision": table})
 
 
-def collect(arms: Sequence[int], seed: int, runs: dict[str, int]) -> list[Moments]:
-    """Moments of random arms, two arms at a time."""
+def collect(arms: Sequence[int], seed: int, runs: dict[str, int], *, slower: bool = False) -> list[Moments]:
+    """Moments of random arms, two arms at a time, in loops of 1 kHz or ``slower`` ones.
+
+    An arm whose healthy runs raise alarms whatever the thresholds is left out: nobody would run it like that.
+    """
     began = time.perf_counter()
 
     def one(k: int) -> list[Moments]:
-        config = jaxftc.Config(random_arm(arms[k]), engine="chain", adaptive=k // 6 % 2 == 1)
-        found = moments(config, seed * 1000 + arms[k], runs)
-        said = f"arm {arms[k]}, {config.n} joints: {sum(len(part.seen) for part in found) // config.n} moments"
+        dt = SLOWER[(k + k // 12) % len(SLOWER)] if slower else 1e-3
+        config = jaxftc.Config(random_arm(arms[k]), dt=dt, engine="chain", adaptive=k // 6 % 2 == 1)
+        said = f"arm {arms[k]}, {config.n} joints, {1e3 * dt:g} ms"
+        try:
+            found = moments(config, seed * 1000 + arms[k], runs)
+        except ValueError as error:
+            print(f"{said}, left out: {error}", flush=True)
+            return []
+        said += f": {sum(len(part.seen) for part in found) // config.n} moments"
         print(f"{said}, {time.perf_counter() - began:.0f} s", flush=True)
         return found
 
@@ -259,11 +270,12 @@ def main(words: Sequence[str] | None = None) -> None:
         default=ARMS,
         help="number of random arms; of each twelve the last six are learned while they run",
     )
+    parser.add_argument("--slower", action="store_true", help=f"sample times of {SLOWER} s in turn; else 0.001 s")
     parser.add_argument("--steps", type=int, default=STEPS, help="steps of training")
     parser.add_argument("--seed", type=int, default=0, help="of arms, runs and training")
     given = parser.parse_args(words)
     jaxftc.configure_xla()
-    parts = collect(range(100 * given.seed, 100 * given.seed + given.arms), given.seed, RUNS)
+    parts = collect(range(100 * given.seed, 100 * given.seed + given.arms), given.seed, RUNS, slower=given.slower)
     weights, loss = train(parts, given.seed, given.steps)
     write_text(given.out, as_toml(weights))
     print(f"loss {loss:.4f}; written to {given.out}")

@@ -14,6 +14,8 @@ from jaxftc.diagnosis import threshold
 from jaxftc.evaluation import intervals
 from jaxftc.evaluation.intervals import Interval, bootstrap
 from jaxftc.gains import Gains
+from jaxftc.scenarios.preset import Encoder
+from jaxftc.scenarios.preset_file import load_preset
 from jaxftc.scenarios.sample import sample_scenarios
 from jaxftc.scenarios.scenario import Scenario
 from jaxftc.types import Array
@@ -109,6 +111,7 @@ def compare(
     key: Array,
     *,
     presets: tuple[str, ...] = PRESETS,
+    encoder: Encoder | None = None,
     n: int = 512,
     objective: Mapping[str, Term] = OBJECTIVE,
     batch: int = 64,
@@ -123,6 +126,7 @@ def compare(
         after: The other.
         key: One that no tuning has seen.
         presets: Names of presets.
+        encoder: Of their scenarios, if not the presets' own.
         n: Scenarios of each.
         objective: Terms by name.
         batch: Scenarios side by side.
@@ -136,7 +140,9 @@ def compare(
     for sign in ("smooth", "hard"):
         problem = Problem(dataclasses.replace(config, sign=sign), objective, noise, batch, follows=follows)
         for preset in presets:
-            scenarios = sample_scenarios(draw, n, preset, config=config)
+            laws = load_preset(preset)
+            laws = laws if encoder is None else dataclasses.replace(laws, encoder=encoder)
+            scenarios = sample_scenarios(draw, n, laws, config=config)
             scores = [problem.scores(gains, scenarios) for gains in (before, after)]
             found.append(Comparison(preset, sign, problem.names, problem.weights, scores[0], scores[1], scenarios, noise))
     return found

@@ -103,6 +103,7 @@ class Calibrate(Laws):
         from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
         from jaxftc.cli import record
         from jaxftc.cli.identify import log_config, read_logs
+        from jaxftc.gains_file import DIAGNOSER
 
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         logs = read_logs(self, self.logs, arm)
@@ -119,7 +120,7 @@ class Calibrate(Laws):
             followed = {"follow_loss": shares.loss.tolist()}
             found = calibrate_on_logs(config, with_shares(gains, shares.values), logs, **wanted)
         with results.folder(self, "calibrate") as folder:
-            save_gains(folder / "gains.toml", found.gains, config)
+            save_gains(folder / "gains.toml", found.gains, config, scheme=DIAGNOSER)
             result = found.promise._asdict() | by_joint(config, found.gains) | {"gains": str(folder / "gains.toml")}
             result |= {"sample_time_s": config.dt, "noise_rad": [float(x) for x in found.noise]} | followed
             text = results.write_json(folder / "result.json", result | {"provenance": record.of(self, config)})
@@ -172,7 +173,7 @@ def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
         lines.append(
             "The logs are too short to count such runs. The thresholds are EXTRAPOLATED from a fitted tail, to no more "
             f"than {FARTHEST:g} times the largest seen. At them the tail expects {promise.fitted_per_hour:.3g} alarms an "
-            "hour; shares that need more than that have the same thresholds."
+            "hour; they are the same for every share that would need higher ones."
         )
     else:
         lines.append("The thresholds are set by counting runs.")

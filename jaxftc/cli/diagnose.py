@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -120,9 +121,13 @@ class Diagnose(LogOptions, common.ArmOptions):
 
     def _gains(self, arm: Arm, config: Config) -> Any:
         from jaxftc import default_gains, load_gains
+        from jaxftc.gains_file import DIAGNOSER, caution
 
         if self.gains is not None:
-            return load_gains(self.gains, config)
+            gains, doubt = load_gains(self.gains, config), caution(self.gains, config, DIAGNOSER)
+            if doubt:
+                print(f"{doubt} --logs", file=sys.stderr)
+            return gains
         recording = arm.recording
         return default_gains(config, noise=recording.encoder_noise, resolution=recording.encoder_resolution)
 

@@ -18,17 +18,23 @@ def of(options: common.ArmOptions, config: Config, *, more: tuple[str, ...] = ()
     from jaxftc.campaigns.spec import describe, versions
     from jaxftc.scenarios.preset_file import said
 
-    preset = getattr(options, "preset", None)
-    return {
+    found: dict[str, Any] = {
         "command": shlex.join(["jaxftc", *options.words, *more]),
         "robot": {"name": config.robot.name, "fingerprint": config.robot.fingerprint},
-        "config": {name: value for name, value in describe(config).items() if name != "robot_fingerprint"},
-        "preset": None if preset is None else said(preset),
-        "seed": getattr(options, "seed", None),
-        "gains": gains_file(getattr(options, "gains", None)),
-        "options": results.request(options),
-        "versions": versions(),
     }
+    if isinstance(options, common.Options):
+        preset = getattr(options, "preset", None)
+        found |= {
+            "config": {name: value for name, value in describe(config).items() if name != "robot_fingerprint"},
+            "preset": None if preset is None else said(preset),
+            "seed": options.seed,
+        }
+    else:  # of a config for logs nothing else counts
+        found["sample_time_s"] = config.dt
+    given = dict(results.given(options))
+    if "gains" in given:
+        found["gains"] = gains_file(given["gains"])
+    return found | {"options": results.request(options), "versions": versions()}
 
 
 def of_campaign(folder: Path) -> dict[str, Any]:

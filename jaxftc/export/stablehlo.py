@@ -62,6 +62,7 @@ class Loaded:
         Raises:
             ValueError: q has the wrong shape or is not finite.
         """
+        q = checks.filled(q)
         checks.one_arm("q", q, self._n)
         checks.finite("q", q, "give the angles that the arm is at")
         with precision(self.metadata["real"]):
@@ -81,8 +82,9 @@ class Loaded:
         given |= {f"measurement.{k}": x for k, x in measurement._asdict().items()}
         for name, value in given.items():
             checks.one_arm(name, value, self._n)
-        if len(state) != self._states:
-            raise ValueError(f"state must be the list of {self._states} arrays that init or step gave, got {len(state)}")
+        if not isinstance(state, list | tuple) or len(state) != self._states:
+            came = len(state) if isinstance(state, list | tuple) else f"a {type(state).__name__}"
+            raise ValueError(f"state must be the list of {self._states} arrays that init or step gave, got {came}")
         with precision(self.metadata["real"]):
             signals = [np.asarray(checks.filled(x), self._dtype()) for x in given.values()]
             made = self._step(*self.gains, *state, *signals)

@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxftc.config import Config
 from jaxftc.gains import Gains, specs
-from jaxftc.gains_file import header, judges
+from jaxftc.gains_file import header, made_for
 from jaxftc.schemes import registry
 from jaxftc.types import Measurement, Output, Reference
 from jaxftc.version import __version__
@@ -98,7 +98,7 @@ def tick(
     limits = [float(x) if np.isfinite(x) else None for x in config.robot.torque_limit]
     metadata = (
         header(config)
-        | judges(config)
+        | made_for(config)
         | {
             "jaxftc": __version__,
             "joint_names": list(config.robot.joint_names),

@@ -27,8 +27,9 @@ class Event(NamedTuple):
     joint: int  # from 1; of a contact the joint that moves the link
     joint_name: str
     kind: str  # actuator, sensor, both or contact
-    size: float  # mean size of the torque in N m, with the sign of its mean; or largest error of the reading in deg; of both
-    # the torque; of a contact mean force in N
+    size: (
+        float  # torque (also of both): mean size in N m, with its mean's sign; reading: largest error in deg; force: mean, N
+    )
     unit: str
 
 

@@ -68,10 +68,15 @@ class Encoder(Table):
 
     @property
     def level(self) -> dict[str, float]:
-        """What ``default_gains`` has to know of readings in counts; nothing of others, whose noise its numbers are for."""
-        if self.resolution_rad == 0.0:
+        """What ``default_gains`` is told of readings that come in counts; of others nothing, whatever their noise."""
+        if not self.in_counts:
             return {}
         return {"noise": extent(self.noise_rad)[1], "resolution": extent(self.resolution_rad)[1]}
+
+    @property
+    def in_counts(self) -> bool:
+        """Whether readings can come in counts."""
+        return extent(self.resolution_rad)[1] > 0.0
 
 
 @dataclasses.dataclass(frozen=True)

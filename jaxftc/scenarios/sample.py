@@ -213,7 +213,7 @@ def _contact(preset: Preset, n: int, stream: UniformStream, there: Array, law: d
 
 def _resolution(encoder: Encoder, stream: UniformStream) -> Array | None:
     """The size of a count, from a number of its own; None if readings never come in counts."""
-    return None if encoder.resolution_rad == 0.0 else stream.apart(RESOLUTION, 1)(encoder.resolution_rad)
+    return stream.apart(RESOLUTION, 1)(encoder.resolution_rad) if encoder.in_counts else None
 
 
 def _uncommon(preset: Preset) -> tuple[()] | None:

@@ -72,7 +72,7 @@ def default_gains(config: Config, *, noise: Level | None = None, resolution: Lev
         block, name = path.split(".")
         values[block][name] = values[block][name] * factor
     values["arx"] |= {name: np.zeros(shape_of(config, spec)) for _, name, spec in specs() if spec.default is None}
-    values |= {"decision": dict(shipped())} if config.decision == "learned" else {}
+    values |= {"decision": dict(shipped(config.dt))} if config.decision == "learned" else {}
     return exact(config, build(config, values), None if config.input == "rigid_body" else np.linalg.inv(_inertia(config)))
 
 

@@ -363,12 +363,20 @@ def test_weights_are_there_where_they_are_used(config, gains, tmp_path):
         jaxftc.load_gains(own, config)
 
 
-def test_the_shipped_weights_fit_what_is_shown():
-    shipped = decision_gains.shipped()
+@pytest.mark.parametrize("dt", [1e-3, 1e-2])
+def test_the_shipped_weights_fit_what_is_shown(dt):
+    shipped = decision_gains.shipped(dt)
     assert shipped.keys() == {field.name for field in dataclasses.fields(DecisionGains)}
     for field in dataclasses.fields(DecisionGains):
         assert shipped[field.name].shape == tuple(map(int, field.metadata["spec"].axes))
     assert len(shipped["centre"]) == len(decision_network.NAMES) and (shipped["low"] < shipped["high"]).all()
+    gains = jaxftc.default_gains(jaxftc.Config(two_hinges(), dt=dt, engine="chain", decision="learned"))
+    np.testing.assert_array_equal(gains.decision.first, shipped["first"].astype(gains.decision.first.dtype))
+
+
+def test_slower_loops_have_weights_of_their_own():
+    found = [decision_gains.shipped(dt)["first"] for dt in (2.5e-4, 1e-3, 2e-3, 1e-2)]
+    assert (found[0] == found[1]).all() and (found[2] == found[3]).all() and (found[1] != found[2]).any()
 
 
 @pytest.mark.parametrize(
@@ -403,10 +411,10 @@ PRESETS = pytest.mark.parametrize("preset", ["standard", "hard", "uncommon"])
 
 
 @functools.cache
-def rule_and_learned(preset: str) -> list[dict[str, np.ndarray]]:
+def rule_and_learned(preset: str, dt: float = 1e-3) -> list[dict[str, np.ndarray]]:
     """Rows of the rule and of the learned decision. Weights that name nothing are the rule, so one program runs both."""
     with jax.enable_x64(False):
-        config = jaxftc.Config(two_hinges(), engine="chain", decision="learned")
+        config = jaxftc.Config(two_hinges(), dt=dt, engine="chain", decision="learned")
         runs, healthy = (jaxftc.sample_scenarios(jax.random.key(key), RUNS, preset, config=config) for key in (3, 1))
         learned = jaxftc.calibrate(config, jaxftc.default_gains(config), healthy, jax.random.key(2)).gains
         rule = learned.replace({"decision.last": 0.0, "decision.last_bias": -3.0})
@@ -455,6 +463,14 @@ def test_on_an_arm_that_it_has_not_seen_it_names_better_than_the_rule(when):
 def test_where_the_rule_is_good_it_is_no_worse(preset, when):
     for part in ("kind_right", "joint_right"):
         rule, learned = (right(rows, f"{part}{when}") for rows in rule_and_learned(preset))
+        assert learned > rule - 0.015, (part, rule, learned)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("preset", ["standard", "hard"])
+def test_a_slower_loop_has_it_too(preset):
+    for part in ("kind_right_settled", "joint_right_settled"):
+        rule, learned = (right(rows, part) for rows in rule_and_learned(preset, dt=0.01))
         assert learned > rule - 0.015, (part, rule, learned)
 
 

@@ -442,8 +442,8 @@ def test_gains_file_says_units_robot_and_version(config, gains_file):
     table = tomllib.loads(gains_file.read_text())
     robot = config.robot
     system = {"robot": robot.name, "robot_fingerprint": robot.fingerprint, "dt": 1e-3, "order_a": 3, "order_b": 2}
-    judges = {"scheme": "cascade", "observer": "ts", "adaptive": False}
-    assert table["made_with"] == {"jaxftc": jaxftc.__version__, "input": "rigid_body"} | system | judges
+    scheme = {"scheme": "cascade", "observer": "ts", "adaptive": False}
+    assert table["made_with"] == {"jaxftc": jaxftc.__version__, "input": "rigid_body"} | system | scheme
     assert table["control"]["lam"] == {"unit": "1/s", "value": [20.0] * 6}
 
 
@@ -523,6 +523,11 @@ def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path, 
     for anew, said in ((True, ""), (False, f"{caution(gains_file, other)}\n")):
         common.load_or_default(common.Options(gains=gains_file), other, anew=anew)
         assert capsys.readouterr().err == said
+    assert caution(gains_file, dataclasses.replace(config, scheme="computed_torque")) is None, "it judges nothing"
+    assert "made with scheme cascade; here scheme diagnoser" in caution(gains_file, config, "diagnoser")
+    logs = tmp_path / "logs.toml"
+    jaxftc.save_gains(logs, jaxftc.default_gains(config), config, scheme="diagnoser")
+    assert caution(logs, config, "diagnoser") is None and "made with scheme diagnoser, " in caution(logs, config)
     jaxftc.save_gains(tmp_path / "gains.toml", jaxftc.default_gains(config))
     assert caution(tmp_path / "gains.toml", other) is None, "the file does not say"
 
