@@ -1,7 +1,7 @@
 """Training of the learned decision: random arms, campaigns through the closed loop, a small network.
 
     python -m tuning.decision --out decision.toml
-    python -m tuning.decision --slower --out slower_decision.toml
+    python -m tuning.decision --slower --arms 36 --out slower_decision.toml
 
 make the weights that come with the library (in ``jaxftc/diagnosis``): for loops of 1 kHz, and for slower ones. Each arm
 gets default gains and thresholds for 1 % of healthy runs with an alarm, for each preset. The runs have every kind of fault
@@ -45,7 +45,7 @@ from jaxftc.types import Array
 from tuning.random_arms import random_arm
 
 ARMS = 24  # in training; of each twelve the last six are learned while they run
-SLOWER = 0.002, 0.004, 0.01  # s, sample times of slower loops, in turn
+SLOWER = 0.002, 0.004, 0.01  # s, sample times of slower loops, in turn; every third arm has one then
 UNKNOWN = 0.3, 1.5  # times what arms differ by in the presets, drawn for each arm: thresholds are lower or higher by that
 RUNS = {"standard": 512, "hard": 2048, "doubles": 512, "uncommon": 512, "mixed": 768}  # of each arm; mostly single faults
 HEALTHY = 1024  # runs that thresholds are set on and checked on, half each
@@ -237,14 +237,14 @@ def as_toml(weights: DecisionGains) -> str:
 
 
 def collect(arms: Sequence[int], seed: int, runs: dict[str, int], *, slower: bool = False) -> list[Moments]:
-    """Moments of random arms, two arms at a time, in loops of 1 kHz or ``slower`` ones.
+    """Moments of random arms, two arms at a time, in loops of 1 kHz, or some of them in ``slower`` ones.
 
     An arm whose healthy runs raise alarms whatever the thresholds is left out: nobody would run it like that.
     """
     began = time.perf_counter()
 
     def one(k: int) -> list[Moments]:
-        dt = SLOWER[(k + k // 12) % len(SLOWER)] if slower else 1e-3
+        dt = SLOWER[k // 3 % len(SLOWER)] if slower and k % 3 == 2 else 1e-3
         config = jaxftc.Config(random_arm(arms[k]), dt=dt, engine="chain", adaptive=k // 6 % 2 == 1)
         said = f"arm {arms[k]}, {config.n} joints, {1e3 * dt:g} ms"
         try:
@@ -270,7 +270,7 @@ def main(words: Sequence[str] | None = None) -> None:
         default=ARMS,
         help="number of random arms; of each twelve the last six are learned while they run",
     )
-    parser.add_argument("--slower", action="store_true", help=f"sample times of {SLOWER} s in turn; else 0.001 s")
+    parser.add_argument("--slower", action="store_true", help=f"every third arm at {SLOWER} s in turn, not 0.001 s")
     parser.add_argument("--steps", type=int, default=STEPS, help="steps of training")
     parser.add_argument("--seed", type=int, default=0, help="of arms, runs and training")
     given = parser.parse_args(words)
