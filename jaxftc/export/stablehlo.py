@@ -52,7 +52,7 @@ class Loaded:
         read = [export.deserialize(bytearray((folder / file).read_bytes())) for file in FILES]
         self.call_init, self.call_step = (exported.call for exported in read)  # of leaves, to be traced
         self._init, self._step = jax.jit(self.call_init), jax.jit(self.call_step)
-        self._states, self._n = len(metadata["signals"]["state"]), len(metadata["joint_names"])
+        self._state, self._n = metadata["signals"]["state"], len(metadata["joint_names"])
         at_run_time = metadata["gains"] == "at run time"
         self.gains = [np.asarray(leaf["value"], self._dtype()) for leaf in metadata["signals"]["gains"] if at_run_time]
 
@@ -82,13 +82,19 @@ class Loaded:
         given |= {f"measurement.{k}": x for k, x in measurement._asdict().items()}
         for name, value in given.items():
             checks.one_arm(name, value, self._n)
-        if not isinstance(state, list | tuple) or len(state) != self._states:
-            came = len(state) if isinstance(state, list | tuple) else f"a {type(state).__name__}"
-            raise ValueError(f"state must be the list of {self._states} arrays that init or step gave, got {came}")
+        self._check_state(state)
         with precision(self.metadata["real"]):
             signals = [np.asarray(checks.filled(x), self._dtype()) for x in given.values()]
             made = self._step(*self.gains, *state, *signals)
-        return made[: self._states], Output(*made[self._states :])
+        return made[: len(state)], Output(*made[len(state) :])
+
+    def _check_state(self, state: Any) -> None:
+        wanted = f"state must be the list of {len(self._state)} arrays that init or step gave"
+        if not isinstance(state, list | tuple) or len(state) != len(self._state):
+            raise ValueError(f"{wanted}, got {len(state) if isinstance(state, list | tuple) else f'a {type(state).__name__}'}")
+        for k, (leaf, own) in enumerate(zip(state, self._state, strict=True)):
+            if list(np.shape(leaf)) != own["shape"]:
+                raise ValueError(f"{wanted}: number {k}, {own['name']}, has shape {own['shape']}, got {list(np.shape(leaf))}")
 
     def _dtype(self) -> Any:
         return np.float64 if self.metadata["real"] == "double" else np.float32

@@ -274,8 +274,9 @@ class Diagnoser:
         """What a reading q [n, ...] rad and the torque beside it [n, ...] N m say; NaN where there is none.
 
         Raises:
-            ValueError: a shape is wrong.
+            ValueError: a shape is wrong, or the state is of another kind.
         """
+        checks.instance("state", state, State)
         dtype = state.q.dtype
         q, torque = jnp.asarray(q, dtype), jnp.asarray(torque, dtype)
         checks.joints_first("q", q, self.config.n)

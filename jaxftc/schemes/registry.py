@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.tree_util import tree_leaves_with_path
 
 from jaxftc import checks, variants
 from jaxftc.compile.box import box
@@ -84,7 +85,7 @@ def step(config: Config, gains: Gains, state: Any, reference: Reference, measure
 
     Raises:
         ValueError: an argument is of another kind or a shape is wrong (shapes are known even under a trace; values are
-            checked by ``init``), or the state is that of another scheme.
+            checked by ``init``), or the state is that of another config.
     """
     check_gains(config, gains)
     _check_state(config, state)
@@ -129,6 +130,15 @@ def _check_state(config: Config, state: Any) -> None:
             f"state must come from init with the same config, scheme {config.scheme!r}, got {type(state).__module__}."
             f"{type(state).__name__}"
         )
+
+
+def _check_shapes(fresh: Any, state: Any) -> None:
+    """Refuse a state with other arrays than ``fresh``, one of this config."""
+    ours, theirs = ({jax.tree_util.keystr(at): x.shape for at, x in tree_leaves_with_path(s)} for s in (fresh, state))
+    for name in [*ours, *theirs]:
+        if ours.get(name) != theirs.get(name):
+            came, wanted = (f"of shape {list(s[name])}" if name in s else "absent" for s in (theirs, ours))
+            raise ValueError(f"state{name} is {came}, here it must be {wanted}; take the state of init with the same config")
 
 
 def _arrays(config: Config, at: Array, reference: Reference, measurement: Measurement) -> tuple[Reference, Measurement]:
@@ -183,4 +193,5 @@ def _anew(config: Config, gains: Gains, lost: Array, state: Any, reading: Array)
     for angle in (state.q, reading):
         q = jnp.where(jnp.abs(angle - middle) <= half, angle, q)
     fresh = scheme(config).init(config, align(gains, q.ndim - 1), q)
+    _check_shapes(fresh, state)
     return jax.tree.map(lambda new, old: jnp.where(lost, new, old), fresh, state)

@@ -132,6 +132,19 @@ def test_arguments_of_another_kind_are_refused(config, loop):
         jaxftc.identify.fit_batch(config, gains, (angles, angles))
 
 
+@pytest.mark.parametrize("change", [{"adaptive": True}, {"decision": "learned"}, {"order_b": 3}])
+def test_a_state_of_another_config_is_refused(config, loop, change):
+    _, _, reference, angles = loop
+    configs = config, dataclasses.replace(config, **change)
+    both = [(config, jaxftc.default_gains(config)) for config in configs]
+    for (mine, gains), (its, other) in (both, both[::-1]):
+        state = jaxftc.init(its, other, angles[0])
+        with pytest.raises(ValueError, match=r"state\.\S+ is (of shape|absent).*must be.*init with the same config"):
+            jaxftc.step(mine, gains, state, reference, jaxftc.Measurement(angles[0]))
+    with pytest.raises(ValueError, match="state must be a State, got a tuple; arguments in another order"):
+        jaxftc.Diagnoser(*both[0]).step((), angles[0], angles[0])
+
+
 def _in_a_child(pipe, calls):
     for call in calls:
         try:

@@ -298,6 +298,9 @@ def test_the_loaded_tick_checks_what_it_is_given(exported):
         ),
         "reference must be a Reference": lambda: loaded.step(state, at, jaxftc.Measurement(at)),
         "state must be the list of": lambda: loaded.step(state[1:], still, jaxftc.Measurement(at)),
+        r"number 0, \w+, has shape .*, got \[1, ": lambda: loaded.step(
+            [x[None] for x in state], still, jaxftc.Measurement(at)
+        ),
     }.items():
         with pytest.raises(ValueError, match=words):
             use()
