@@ -54,6 +54,14 @@ def load_gains(path: str | Path, config: Config) -> Gains:
     Raises:
         ValueError: unreadable file, unknown or missing gain, wrong unit, wrong shape, or gains of another robot or orders.
     """
+    return load_and_doubt(path, config)[0]
+
+
+def load_and_doubt(path: str | Path, config: Config, scheme: str | None = None) -> tuple[Gains, str | None]:
+    """Gains as ``load_gains`` reads them, and what to know where their thresholds may be of another scheme.
+
+    ``scheme`` is whose thresholds are wanted, if not the config's. Of one that judges nothing there is nothing to know.
+    """
     table = read_toml(path, "gains")
     strays = [key for key, entries in table.items() if not isinstance(entries, dict)]
     if strays:
@@ -61,33 +69,8 @@ def load_gains(path: str | Path, config: Config) -> Gains:
             f"{path}: {strays[0]!r} must be a table of gains, got {table[strays[0]]!r}; write it with save_gains"
         )
     made_with = table.pop("made_with", {})
-    if made_with.get("scheme", config.scheme) != config.scheme:
-        table.pop("own", None)  # another scheme's; all else in the file serves every scheme
-    weights = table.pop("decision", None)  # a file without them is for any decision
-    ours = header(config)
-    other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
-    if other:
-        arms = {str(made_with.get("robot")), ours["robot"]}
-        friction = len(arms) == 2 and all(arm.startswith("puma560") for arm in arms)
-        hint = ": --coulomb or puma560(coulomb=True) is the arm with dry friction" if friction else ""
-        raise ValueError(
-            f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with{hint}"
-        )
-    known = {(block, name): spec for block, name, spec in specs(config)}
-    values: dict[str, dict[str, Any]] = {block: {} for block in blocks(config)}
-    for block, entries in table.items():
-        for name, entry in entries.items():
-            value = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
-            values[block][name] = value
-    if config.decision == "learned":
-        values["decision"] = dict(shipped(config.dt)) if weights is None else _weights(path, weights, known)
-    missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
-    if missing:
-        raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
-    try:
-        return build(config, values)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    _check_made_with(path, made_with, config)
+    return _read(path, table, made_with, config), _doubt(path, made_with, config, scheme)
 
 
 def sample_time(path: str | Path) -> float | None:
@@ -120,14 +103,21 @@ def made_for(config: Config, scheme: str | None = None) -> dict[str, Any]:
     return {"scheme": config.scheme, "observer": config.observer, "adaptive": config.adaptive}
 
 
-def caution(path: str | Path, config: Config, scheme: str | None = None) -> str | None:
-    """What to know of a file whose thresholds may be of another scheme, if they are; of one that judges nothing, nothing.
+def _check_made_with(path: str | Path, made_with: dict[str, Any], config: Config) -> None:
+    """Refuse gains that belong to another arm, sample time or structure."""
+    ours = header(config)
+    other = [f"{k} {v!r}, here {ours[k]!r}" for k, v in made_with.items() if k in ours and v != ours[k]]
+    if not other:
+        return
+    arms = {str(made_with.get("robot")), ours["robot"]}
+    friction = len(arms) == 2 and all(arm.startswith("puma560") for arm in arms)
+    hint = ": --coulomb or puma560(coulomb=True) is the arm with dry friction" if friction else ""
+    raise ValueError(f"{path} holds gains for another {'; another '.join(other)}; use the config they were made with{hint}")
 
-    Raises:
-        ValueError: the file cannot be read.
-    """
-    made_with, ours = read_toml(path, "gains").get("made_with"), made_for(config, scheme)
-    theirs = {k: made_with.get(k, v) for k, v in ours.items()} if isinstance(made_with, dict) else ours
+
+def _doubt(path: str | Path, made_with: dict[str, Any], config: Config, scheme: str | None) -> str | None:
+    ours = made_for(config, scheme)
+    theirs = {k: made_with.get(k, v) for k, v in ours.items()}
     if theirs == ours or (scheme is None and not variants.load(config.scheme).DIAGNOSES):
         return None
     other, here = (", ".join(f"{k} {v}" for k, v in one.items()) for one in (theirs, ours))
@@ -135,6 +125,26 @@ def caution(path: str | Path, config: Config, scheme: str | None = None) -> str 
         f"{path} was made with {other}; here {here}. Thresholds that were calibrated there do not hold here: set them with "
         "jaxftc calibrate"
     )
+
+
+def _read(path: str | Path, table: dict[str, Any], made_with: dict[str, Any], config: Config) -> Gains:
+    if made_with.get("scheme", config.scheme) != config.scheme:
+        table.pop("own", None)  # another scheme's; all else in the file serves every scheme
+    weights = table.pop("decision", None)  # a file without them is for any decision
+    known = {(block, name): spec for block, name, spec in specs(config)}
+    values: dict[str, dict[str, Any]] = {block: {} for block in blocks(config)}
+    for block, entries in table.items():
+        for name, entry in entries.items():
+            values[block][name] = _read_entry(path, f"{block}.{name}", entry, known.get((block, name)), known)
+    if config.decision == "learned":
+        values["decision"] = dict(shipped(config.dt)) if weights is None else _weights(path, weights, known)
+    missing = [f"{block}.{name}" for block, name in known if name not in values[block]]
+    if missing:
+        raise ValueError(f"{path} lacks {', '.join(missing)}; write it with save_gains")
+    try:
+        return build(config, values)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
 
 
 def _weights(path: str | Path, entries: dict[str, Any], known: dict[tuple[str, str], Spec]) -> dict[str, np.ndarray]:

@@ -245,12 +245,12 @@ def load_or_default(options: Options, config: Config, *, anew: bool = False, pre
 
     A doubt of their thresholds goes to stderr, unless those are set ``anew``.
     """
-    from jaxftc import default_gains, load_gains
-    from jaxftc.gains_file import caution
+    from jaxftc import default_gains
+    from jaxftc.gains_file import load_and_doubt
 
     if options.gains is None:
         return default_gains(config, **({} if preset is None else preset.encoder.level))
-    gains, doubt = load_gains(options.gains, config), caution(options.gains, config)
+    gains, doubt = load_and_doubt(options.gains, config)
     if doubt and not anew:
         print(doubt, file=sys.stderr)
     return gains

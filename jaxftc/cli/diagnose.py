@@ -120,11 +120,11 @@ class Diagnose(LogOptions, common.ArmOptions):
         }
 
     def _gains(self, arm: Arm, config: Config) -> Any:
-        from jaxftc import default_gains, load_gains
-        from jaxftc.gains_file import DIAGNOSER, caution
+        from jaxftc import default_gains
+        from jaxftc.gains_file import DIAGNOSER, load_and_doubt
 
         if self.gains is not None:
-            gains, doubt = load_gains(self.gains, config), caution(self.gains, config, DIAGNOSER)
+            gains, doubt = load_and_doubt(self.gains, config, DIAGNOSER)
             if doubt:
                 print(f"{doubt} --logs", file=sys.stderr)
             return gains

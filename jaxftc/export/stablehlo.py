@@ -90,11 +90,14 @@ class Loaded:
 
     def _check_state(self, state: Any) -> None:
         wanted = f"state must be the list of {len(self._state)} arrays that init or step gave"
-        if not isinstance(state, list | tuple) or len(state) != len(self._state):
-            raise ValueError(f"{wanted}, got {len(state) if isinstance(state, list | tuple) else f'a {type(state).__name__}'}")
+        if not isinstance(state, list | tuple):
+            raise ValueError(f"{wanted}, got a {type(state).__name__}")
+        if len(state) != len(self._state):
+            raise ValueError(f"{wanted}, got {len(state)}")
         for k, (leaf, own) in enumerate(zip(state, self._state, strict=True)):
-            if list(np.shape(leaf)) != own["shape"]:
-                raise ValueError(f"{wanted}: number {k}, {own['name']}, has shape {own['shape']}, got {list(np.shape(leaf))}")
+            came = list(np.shape(leaf))
+            if came != own["shape"]:
+                raise ValueError(f"{wanted}: number {k}, {own['name']}, has shape {own['shape']}, got {came}")
 
     def _dtype(self) -> Any:
         return np.float64 if self.metadata["real"] == "double" else np.float32

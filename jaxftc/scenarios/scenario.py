@@ -114,7 +114,7 @@ def healthy_scenario(
     start = start if q_start is None else _angles("q_start", q_start, config.n)
     goal = goal if q_goal is None else _angles("q_goal", q_goal, config.n)
     for name, value in (("noise", noise), ("resolution", resolution or 0.0)):
-        if not (math.isfinite(value) and value >= 0):
+        if isinstance(value, bool) or not (math.isfinite(value) and value >= 0):
             raise ValueError(f"{name} must be finite and not negative, in rad, got {value!r}")
     return Scenario(
         id=jnp.asarray(scenario_id, jnp.int32),

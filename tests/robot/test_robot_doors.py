@@ -513,7 +513,10 @@ def test_gains_serve_every_observer_control_and_engine(config, gains_file):
 
 def test_thresholds_of_another_scheme_are_doubted(config, gains_file, tmp_path, capsys):
     from jaxftc.cli import common
-    from jaxftc.gains_file import caution
+    from jaxftc.gains_file import load_and_doubt
+
+    def caution(*asked):
+        return load_and_doubt(*asked)[1]
 
     other = dataclasses.replace(config, adaptive=True)
     assert caution(gains_file, config) is None

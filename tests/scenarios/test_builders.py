@@ -155,6 +155,7 @@ def test_what_cannot_be_is_refused(healthy, call, text):
         ({"q_start": np.zeros(5)}, r"q_start must have shape \[6\], an angle in rad a joint, got \[5\]"),
         ({"q_goal": [math.nan] * 6}, "q_goal must be finite"),
         ({"noise": -1.0}, "noise must be finite and not negative"),
+        ({"resolution": True}, "resolution must be finite and not negative, in rad, got True"),
     ],
 )
 def test_a_motion_that_cannot_be_is_refused(config, options, text):
