@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.campaigns import follow
-from jaxftc.campaigns.log_thresholds import MIXED, NEVER
+from jaxftc.campaigns.log_thresholds import NEVER
+from jaxftc.campaigns.return_level import MIXED
 from jaxftc.config import Config
 from jaxftc.diagnosis.threshold import FOLLOW
 from jaxftc.gains import Gains

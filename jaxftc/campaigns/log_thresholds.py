@@ -24,8 +24,9 @@ import numpy as np
 from scipy import stats
 
 from jaxftc import checks
+from jaxftc.campaigns.return_level import ReturnLevel
 from jaxftc.config import Config
-from jaxftc.evaluation.intervals import check_shares, tolerated
+from jaxftc.evaluation.intervals import check_shares
 from jaxftc.gains import Gains
 from jaxftc.logs.diagnose import Stream
 from jaxftc.logs.log import Log
@@ -34,14 +35,9 @@ from jaxftc.schemes.diagnoser import FAST, FASTEST, SLOW, Diagnosis, stiction
 BLOCK, SHORTEST = 1.0, 0.4  # s, over which the largest statistic is taken; that of logs too short for enough of these
 RATES = np.array([5.0, 8.0, 12.0, FAST])  # 1/s, of the momentum observer; what a model has wrong lasts longer than that
 WAIT = 2.0  # 1/s
-TAIL = 0.3  # share of the blocks that a tail is fitted to
-LEAST_TAIL, MEMORY = 5, 30  # blocks it takes at least; blocks that an exponential tail counts as beside the fitted one
-TRANSFER = 1.15  # times the largest seen, at least: other motions are not quite these
-FARTHEST = 1.2  # and at most: what a minute has shown of a tail is not believed further out
 LEAST_JUMP = 1e-5  # rad, of w
 NEVER = 1e9  # a threshold that nothing reaches
 LEAST_BLOCKS = 10
-MIXED = 5  # blocks in a row that go to the same half
 LEAST_TAU, LEAST_Q = 1e-4, math.radians(0.2)  # of the torque limit; rad
 PUSHES = 2.0  # times the acceleration of healthy motions, which a torque fault is taken to reach
 
@@ -130,7 +126,7 @@ def calibrate_on_logs(
     if torques:
         gains = gains.replace(_bandwidths(config, found))
         found = _peaks(config, _alike(config, gains), logs, block)
-    level = _Level(false_alarms, confidence, len(found.w), max(1, round(run / block)))
+    level = ReturnLevel(false_alarms, confidence, len(found.w), max(1, round(run / block)))
     gains = gains.replace(_thresholds(config, found, level, torques))
     seen = _alarms(config, gains, logs)
     rate = -math.log1p(-false_alarms) / (run / 3600)
@@ -159,7 +155,7 @@ def _bandwidths(config: Config, found: _Peaks) -> dict[str, np.ndarray]:
     }
 
 
-def _thresholds(config: Config, found: _Peaks, level: _Level, torques: bool) -> dict[str, np.ndarray | float]:
+def _thresholds(config: Config, found: _Peaks, level: ReturnLevel, torques: bool) -> dict[str, np.ndarray | float]:
     """Thresholds and the jump by gain: the largest statistics seen with the bandwidths chosen, times the level's factor.
 
     Logs without ``torques`` say nothing of the torque channel, which stays as it is.
@@ -180,50 +176,6 @@ def _largest(config: Config, found: _Peaks) -> np.ndarray:
     """The largest torque statistic [n, rates] N m, and no less than a motor can have wrong."""
     limit = np.where(np.isfinite(config.robot.torque_limit), config.robot.torque_limit, 1.0)
     return np.maximum(found.tau.max(0), (LEAST_TAU * limit)[:, None])
-
-
-class _Level:
-    """The factor on the largest values seen, for blocks of a second."""
-
-    def __init__(self, false_alarms: float, confidence: float, blocks: int, per_run: int) -> None:
-        self.share, self.confidence, self.per_run = false_alarms, confidence, per_run
-        self.allowed = tolerated(blocks // per_run, false_alarms, confidence) if blocks >= per_run else -1
-        self.method = "sample" if self.allowed >= 0 else "tail"
-        self.rate = 0.0  # alarms a block, by the fitted tails
-
-    def factor(self, peaks: np.ndarray) -> float:
-        """From the largest statistics [blocks, n] of every second, to be put on the largest of all of each joint.
-
-        Half of the blocks, in turns, are scaled by the largest of the other half: what has not been seen yet counts as much
-        as it did between the halves.
-        """
-        half = np.arange(len(peaks)) // MIXED % 2 == 0
-        largest = np.concatenate([(peaks[part] / peaks[~part].max(0)).max(1) for part in (half, ~half)])
-        if self.method == "sample":
-            return max(self._counted(largest), TRANSFER)
-        return self._fitted(largest)
-
-    def _counted(self, largest: np.ndarray) -> float:
-        """The level that no more than the allowed number of runs exceeds, of ``largest`` [blocks]."""
-        runs = largest[: len(largest) // self.per_run * self.per_run].reshape(-1, self.per_run).max(1)
-        return 1.000001 * float(np.sort(runs)[len(runs) - 1 - self.allowed])
-
-    def _fitted(self, largest: np.ndarray) -> float:
-        """The level that a tail fitted to ``largest`` [blocks] gives for the wanted share; its rate goes to ``rate``."""
-        ordered = np.sort(largest)
-        count = max(LEAST_TAIL, round(TAIL * len(ordered)))
-        base, above = ordered[-count - 1], ordered[-count:] - ordered[-count - 1]
-        above = above[above > 0]
-        if not len(above):
-            return TRANSFER
-        fitted = stats.genpareto.fit(above, floc=0)[0] if len(above) > LEAST_TAIL else 0.0
-        shape = float(np.clip(len(above) * fitted / (len(above) + MEMORY), -0.3, 0.3))
-        tail = stats.genpareto(shape, loc=base, scale=above.mean() * (1 - shape))
-        share = count / len(ordered)
-        p = -math.expm1(math.log1p(-self.share) / self.per_run)  # wanted, of a block
-        level = float(np.clip(tail.isf(min(p / share, 1.0)), TRANSFER, FARTHEST))
-        self.rate = max(self.rate, share * float(tail.sf(level)))
-        return level
 
 
 def _rates(config: Config) -> np.ndarray:

@@ -155,7 +155,7 @@ def one_rate(options: Calibrate, logs: list[Log], arm: Arm, config: Config) -> l
 
 def log_table(config: Config, before: Gains, found: LogCalibration) -> str:
     """Thresholds, and what the healthy time can promise."""
-    from jaxftc.campaigns.log_thresholds import FARTHEST
+    from jaxftc.campaigns.return_level import FARTHEST
 
     promise = found.promise
     wanted = f"{100 * promise.wanted:g} % of runs of {promise.run_s:.4g} s, which is {promise.wanted_per_hour:.3g} an hour"

@@ -1,8 +1,8 @@
 """Kinds of fault, and the layout of one channel's faults.
 
 Everything about a kind is here: its number, the unit of its magnitude and its effect (``Actuator``, ``Sensor``), and the law
-of its size in a preset (``ActuatorFaults``, ``SensorFaults``). A new kind is a function and a line in each of two tables,
-never a new signature.
+of its size in a preset (``ActuatorFaults``, ``SensorFaults``). A new kind is a line in each of two tables, never a new
+signature; an effect of more than a line is a function in ``fault_effects``.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from enum import IntEnum
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-from jax import lax
 
-from jaxftc.numerics.trigonometry import cos_sin
+from jaxftc.scenarios import fault_effects
 from jaxftc.scenarios.distributions import Law, Real, Table, require, require_number
 from jaxftc.scenarios.preset_error import one_of
 from jaxftc.types import Array
+
+LATEST = 5  # ticks that a signal can be late
 
 
 class Fault(NamedTuple):
@@ -50,87 +51,6 @@ def no_fault(n: int) -> Fault:
     return Fault(jnp.zeros(n, jnp.int32), zero, zero, always * jnp.inf, zero, always * jnp.inf, always)
 
 
-LATEST = 5  # ticks that a signal can be late
-RIPPLES = 60  # of a motor's torque, in one turn of its joint
-FRICTION_SPEED = 0.1  # rad/s, width of a fault's friction
-LOCK = 50.0  # rad/s, natural frequency of a joint in its brake
-
-
-# What a kind does to its signal.
-
-
-class Torque(NamedTuple):
-    """What an actuator's fault acts on."""
-
-    tau: Array  # [n, ...] N m, command
-    size: Array  # [n, ...] in the kind's unit, grown as far as its law in time says
-    share: Array  # [n, ...] 1, how far it has grown
-    magnitude: Array  # [n, ...] in the kind's unit, grown to the full
-    held: Array  # [n, ...] N m, torque at onset
-    limit: Array  # [n, ...] N m, infinite if there is none
-    late: Array  # [n, ...] N m, command of ``size`` ticks ago
-    q: Array  # [n, ...] rad, true angle
-    qd: Array  # [n, ...] rad/s
-    q_held: Array  # [n, ...] rad, angle at onset
-    inertia: Array  # [n, ...] kg m^2, that a joint moves
-    dt: float  # s, time between ticks
-
-
-class Reading(NamedTuple):
-    """What an encoder's fault acts on."""
-
-    q: Array  # [n, ...] rad, true angle
-    noise: Array  # [n, ...] rad, the encoder's own
-    size: Array  # [n, ...] in the kind's unit, grown as far as its law in time says
-    share: Array  # [n, ...] 1, how far it has grown
-    magnitude: Array  # [n, ...] in the kind's unit, grown to the full
-    since: Array  # [n, ...] s, time from onset on
-    held: Array  # [n, ...] rad, reading at onset
-    late: Array  # [n, ...] rad, reading of ``size`` ticks ago
-
-    @property
-    def clean(self) -> Array:
-        """Reading [n, ...] rad without a fault."""
-        return self.q + self.noise
-
-
-def _ripple(x: Torque) -> Array:
-    return x.tau + x.size * cos_sin(RIPPLES * x.q)[1]
-
-
-def _rubbed(x: Torque) -> Array:
-    """Less a friction; where one tick of it would turn the speed round it is softer, as only a stop is possible."""
-    width = jnp.maximum(FRICTION_SPEED, x.size * x.dt / x.inertia)
-    return x.tau - x.size * jnp.tanh(x.qd / width)
-
-
-def _locked(x: Torque) -> Array:
-    """A brake in place of the motor: a stiff spring to the angle at onset, critically damped for the joint's inertia."""
-    frequency = min(LOCK, 0.2 / x.dt)  # slow enough for the tick
-    brake = x.inertia * frequency * (frequency * (x.q_held - x.q) - 2 * x.qd)
-    return x.tau + x.share * (brake - x.tau)
-
-
-def _wrapped(x: Reading) -> Array:
-    half = jnp.where(x.magnitude > 0, x.magnitude, 1.0)
-    return x.clean - 2 * half * jnp.round(x.clean / (2 * half))
-
-
-def _rounded(x: Reading) -> Array:
-    return in_counts(x.clean, x.size)
-
-
-def in_counts(x: Array, size: Array) -> Array:
-    """Angles [n, ...] rad in whole counts of a size in rad, 0 for none; the slope is that of ``x``."""
-    count = jnp.where(size > 0, size, 1.0)
-    return x + lax.stop_gradient(jnp.where(size > 0, count * jnp.round(x / count) - x, 0.0))
-
-
-def _saturated(x: Torque) -> Array:
-    left = jnp.where(jnp.isfinite(x.limit), x.limit, 0.0) * (1 - x.share * (1 - x.magnitude))
-    return jnp.where(jnp.isfinite(x.limit), jnp.clip(x.tau, -left, left), x.tau)
-
-
 class Kind(IntEnum):
     """A kind of fault: its number, the unit of its magnitude ("" if it has none), and what it makes of the signal."""
 
@@ -152,11 +72,11 @@ class Actuator(Kind):
     BIAS = 1, "N m", lambda x: x.tau + x.size  # added
     LOSS = 2, "1", lambda x: x.tau * (1 - x.size)  # lost share of the command
     STUCK = 3, "", lambda x: x.held  # the torque stays what it was at onset
-    SATURATION = 4, "1", _saturated  # share of the torque limit that is left
+    SATURATION = 4, "1", fault_effects.saturated  # share of the torque limit that is left
     GAIN = 5, "1", lambda x: x.tau * (1 + x.size)  # share of the command added
-    RIPPLE = 6, "N m", _ripple  # amplitude, with the joint's angle
-    FRICTION = 7, "N m", _rubbed  # dry friction added
-    LOCKED = 8, "", _locked  # the joint stays where it was at onset
+    RIPPLE = 6, "N m", fault_effects.ripple  # amplitude, with the joint's angle
+    FRICTION = 7, "N m", fault_effects.rubbed  # dry friction added
+    LOCKED = 8, "", fault_effects.locked  # the joint stays where it was at onset
     DELAY = 9, "ticks", lambda x: x.late  # the command comes late
 
 
@@ -170,8 +90,8 @@ class Sensor(Kind):
     FREEZE = 4, "", lambda x: x.held  # the reading stays what it was at onset
     NOISE = 5, "1", lambda x: x.q + x.noise * (1 + x.share * (x.magnitude - 1))  # factor on the encoder's noise
     DROPOUT = 6, "", lambda x: jnp.full_like(x.q, jnp.nan)  # no reading
-    ROUNDING = 7, "rad", _rounded  # size of a count
-    WRAP = 8, "rad", _wrapped  # the reading stays within plus and minus that angle, and begins anew beyond
+    ROUNDING = 7, "rad", lambda x: fault_effects.in_counts(x.clean, x.size)  # size of a count
+    WRAP = 8, "rad", fault_effects.wrapped  # the reading stays within plus and minus that angle, and begins anew beyond
     DELAY = 9, "ticks", lambda x: x.late  # the reading comes late
     CROSSTALK = 10, "1", lambda x: x.clean + x.size * jnp.roll(x.q, -1, axis=0)  # share of the next joint's angle added
 

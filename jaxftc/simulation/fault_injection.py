@@ -14,7 +14,8 @@ from jax import lax
 from jax.typing import ArrayLike
 
 from jaxftc.numerics.barrier import store
-from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Reading, Sensor, Torque, common, in_counts
+from jaxftc.scenarios.fault_effects import Reading, Torque, in_counts
+from jaxftc.scenarios.faults import LATEST, Actuator, Fault, Kind, Sensor, common
 from jaxftc.simulation.fault_profiles import present, size
 from jaxftc.types import Array
 

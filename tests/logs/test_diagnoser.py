@@ -14,6 +14,7 @@ from jaxftc import logs
 from jaxftc.campaigns import log_follow, log_thresholds
 from jaxftc.campaigns.follow import with_shares
 from jaxftc.campaigns.log_thresholds import calibrate_on_logs, reading_noise
+from jaxftc.campaigns.return_level import ReturnLevel
 from jaxftc.cli.main import main
 from jaxftc.gains_file import save_gains
 from jaxftc.io import tables
@@ -398,8 +399,8 @@ def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
 
 def test_enough_runs_are_counted_and_too_few_extrapolated():
     peaks = np.random.default_rng(5).gumbel(1.0, 0.05, (400, 3))
-    counted = log_thresholds._Level(0.02, 0.95, 400, 1)
-    fitted = log_thresholds._Level(0.02, 0.95, 400, 40)
+    counted = ReturnLevel(0.02, 0.95, 400, 1)
+    fitted = ReturnLevel(0.02, 0.95, 400, 40)
     assert (counted.method, fitted.method) == ("sample", "tail")
     fresh = np.random.default_rng(6).gumbel(1.0, 0.05, (20000, 3))
     rates = [(fresh / (peaks.max(0) * level.factor(peaks)) > 1).any(1).mean() for level in (counted, fitted)]
