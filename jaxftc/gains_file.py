@@ -15,6 +15,7 @@ from jaxftc.decision_gains import shipped
 from jaxftc.gains import Gains, Spec, blocks, build, specs
 from jaxftc.io.files import write_text
 from jaxftc.io.toml import read_toml
+from jaxftc.numerics.decimals import decimals
 from jaxftc.version import __version__
 
 DIAGNOSER = "diagnoser"  # in place of a scheme: thresholds of jaxftc.Diagnoser
@@ -28,14 +29,18 @@ def save_gains(path: str | Path, gains: Gains, config: Config | None = None, *, 
         gains: One set, without scenario axes.
         config: What they belong to, if it is to be in the file: robot, time step and structure.
         scheme: Whose thresholds they are, if not the config's: ``diagnoser`` for those of ``Diagnoser``.
+
+    Raises:
+        ValueError: the gains have scenario axes.
     """
     table: dict[str, Any] = {"made_with": {"jaxftc": __version__}}
     if config is not None:
         table["made_with"] |= header(config) | made_for(config, scheme)
     for block, name, spec in specs(gains):
         value = np.asarray(getattr(getattr(gains, block), name))
-        value = value.astype(str).astype(float).tolist()  # the shortest decimals that give the same float32
-        table.setdefault(block, {})[name] = {"unit": spec.unit, "value": value}
+        if value.ndim > len(spec.axes):
+            raise ValueError(f"{block}.{name} must be one set of gains, {list(spec.axes)}, got shape {list(value.shape)}")
+        table.setdefault(block, {})[name] = {"unit": spec.unit, "value": decimals(value).tolist()}
     write_text(Path(path), tomli_w.dumps(table))
 
 

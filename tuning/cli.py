@@ -160,10 +160,12 @@ class Tune(common.Options):
         from jaxftc.variants import changes
 
         common.look_here_for(self.scheme)
+        dt = common.sample_time(self)
         structure: dict[str, Any] = {"observer": self.observer, "control": self.control} | changes(self.scheme)
         return Config(
             common.load_arm(self),
-            dt=common.sample_time(self),
+            dt=dt,
+            t_final=common.motion_time(dt),
             engine=self.engine,
             rules=self.rules,
             duration=self.duration,

@@ -1,4 +1,4 @@
-"""Gradient descent through the closed loop. The one file that imports optax."""
+"""Gradient descent through the closed loop, by optax."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxftc.campaigns import follow as following
-from jaxftc.campaigns.run import scores, torque_statistics
+from jaxftc.campaigns.run import check_set, scores, torque_statistics
 from jaxftc.config import Config
 from jaxftc.diagnosis import threshold
 from jaxftc.evaluation.intervals import Interval, check_shares, share, tolerated
@@ -106,6 +106,7 @@ def calibrate(
     Raises:
         ValueError: too few scenarios for that share and confidence, or no threshold can reach it.
     """
+    check_set(scenarios)
     scenarios = without_faults(scenarios)
     half = enough(len(scenarios.id), false_alarms, confidence)
     parts = take(scenarios, slice(0, half)), take(scenarios, slice(half, None))

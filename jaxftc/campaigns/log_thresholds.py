@@ -111,6 +111,8 @@ def calibrate_on_logs(
         ValueError: a share outside (0, 1), logs that are too short, or statistics that are not finite.
     """
     check_shares(false_alarms, confidence)
+    if not logs:
+        raise ValueError("logs must be at least one, got none; record the healthy arm")
     healthy = sum(len(log.q) for log in logs) * config.dt
     run = healthy / len(logs) if run is None else run
     checks.positive("run", run, "seconds")

@@ -72,9 +72,24 @@ def scores(
     at_a_time: int | None = None,
 ) -> online.Score:
     """The scores of scenarios with a leading axis, [..., scenarios], as NumPy arrays."""
-    checks.instance("scenarios", scenarios, Scenario)
     if at_a_time is not None:
         checks.integer("at_a_time", at_a_time, 1, "None is one for each core")
+    check_set(scenarios)
+    check(config, gains, scenarios)
+    checks.random_key("key", key)
+    program, on = _program(stages.general(config), threshold.follows(gains.diagnosis)), stages.as_data(config)
+    order = np.argsort(_onset(config, scenarios), kind="stable")
+    found = _in_blocks(take(scenarios, order), lambda piece: program(key, on, gains, piece)[0], done, at_a_time)
+    return jax.tree.map(lambda leaf: leaf[..., np.argsort(order)], found)
+
+
+def check_set(scenarios: Scenario) -> None:
+    """Refuse what is no set of scenarios with a leading axis, or an empty one.
+
+    Raises:
+        ValueError: it is another thing, one scenario, or none.
+    """
+    checks.instance("scenarios", scenarios, Scenario)
     if np.ndim(scenarios.id) != 1:
         raise ValueError(
             "scenarios must have one leading axis, as sample_scenarios gives them, got ids of shape "
@@ -82,12 +97,6 @@ def scores(
         )
     if not len(scenarios.id):
         raise ValueError("scenarios must be at least one, got none; draw them with jaxftc.sample_scenarios")
-    check(config, gains, scenarios)
-    checks.random_key("key", key)
-    program, on = _program(stages.general(config), threshold.follows(gains.diagnosis)), stages.as_data(config)
-    order = np.argsort(_onset(config, scenarios), kind="stable")
-    found = _in_blocks(take(scenarios, order), lambda piece: program(key, on, gains, piece)[0], done, at_a_time)
-    return jax.tree.map(lambda leaf: leaf[..., np.argsort(order)], found)
 
 
 def _onset(config: Config, scenarios: Scenario) -> np.ndarray:

@@ -107,7 +107,7 @@ class Calibrate(Laws):
 
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         logs = read_logs(self, self.logs, arm)
-        config = log_config(arm.robot, logs[0].dt or 1e-3)
+        config = log_config(arm.robot, logs[0].sample_time)
         logs = one_rate(self, logs, arm, config)
         if self.gains is None:
             gains = default_gains(config, noise=reading_noise(config, default_gains(config), logs))

@@ -38,7 +38,9 @@ class Laws(common.Options):
         """Robot, engine and timing, before a scheme is chosen."""
         from jaxftc import Config
 
-        return Config(common.load_arm(self), dt=common.sample_time(self), engine=self.engine, duration=self.duration)
+        dt = common.sample_time(self)
+        times = {"dt": dt, "t_final": common.motion_time(dt), "duration": self.duration}
+        return Config(common.load_arm(self), engine=self.engine, **times)
 
     def job(self, base: Config, scheme: str, *, anew: bool) -> Job:
         """Everything that a row of a scheme depends on; thresholds of its gains are to be set ``anew``, or stay."""

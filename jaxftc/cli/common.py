@@ -240,6 +240,11 @@ def sample_time(options: Options) -> float:
     return options.dt
 
 
+def motion_time(dt: float) -> float:
+    """Time of a motion, s: one second, or the whole number of ticks nearest to it."""
+    return max(1, round(1 / dt)) * dt
+
+
 def load_or_default(options: Options, config: Config, *, anew: bool = False, preset: Preset | None = None) -> Gains:
     """The gains that ``--gains`` names, or the default ones for the encoders of a preset.
 

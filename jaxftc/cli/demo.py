@@ -26,7 +26,8 @@ class Demo(common.Options):
         from jaxftc.paper.page import demo_page
 
         robot = common.load_arm(self)
-        config = Config(robot, dt=common.sample_time(self), engine=self.engine)
+        dt = common.sample_time(self)
+        config = Config(robot, dt=dt, t_final=common.motion_time(dt), engine=self.engine)
         gains = common.load_or_default(self, config)
         key = common.key(self)
         with results.folder(self, "demo") as folder:

@@ -66,7 +66,7 @@ class Diagnose(LogOptions, common.ArmOptions):
         from jaxftc.report.diagnosis import Envelope, diagnosis_page
 
         names = arm.robot.joint_names
-        curves = {"tau": Envelope(), "q": Envelope(), "threshold_tau": Envelope()}
+        curves = {name: Envelope() for name in ("t", "tau", "q", "threshold_tau")}
         notes = [] if self.gains else [DEFAULT]
         found = stream = None
         duration = 0.0
@@ -77,7 +77,7 @@ class Diagnose(LogOptions, common.ArmOptions):
             for log, begins, goes_on in pieces(path, *self._wanted(arm), **self._reading(arm)):
                 notes += [note for note in log.notes if note not in notes]
                 if stream is None:
-                    config = dataclasses.replace(log_config(arm.robot, log.dt or 1e-3), contact=self.contact)
+                    config = dataclasses.replace(log_config(arm.robot, log.sample_time), contact=self.contact)
                     stream = Stream(config, self._gains(arm, config))
                     found = timeline.Timeline(names, config.dt)
                 assert found is not None
@@ -87,7 +87,9 @@ class Diagnose(LogOptions, common.ArmOptions):
                     curves["tau"].add(np.asarray(said.statistic_tau))
                     curves["q"].add(np.asarray(said.statistic_q))
                     curves["threshold_tau"].add(np.asarray(said.threshold_tau))
-                    samples.add(begins + t[first : first + len(said.verdict)], said)
+                    times = begins + t[first : first + len(said.verdict)]
+                    curves["t"].add(times[:, None])
+                    samples.add(times, said)
                     bar.update(len(said.verdict))
                 duration = begins + float(t[-1])
         assert found is not None and stream is not None

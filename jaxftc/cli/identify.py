@@ -94,7 +94,7 @@ class Identify(LogOptions, common.ArmOptions):
         arm = common.whole_arm(self.robot, self.tip, self.lock)
         found = read_logs(self, self.logs, arm)
         with results.folder(self, "identify") as folder:
-            ran = record.of(self, log_config(arm.robot, found[0].dt or 1e-3))
+            ran = record.of(self, log_config(arm.robot, found[0].sample_time))
             result = self._judge(arm, found) if self.judge else self._fit(arm, found, folder, ran)
             result = (
                 {"sample_time_s": found[0].dt} | result | {"logs": [str(path) for path in self.logs], "robot": self.robot}

@@ -112,7 +112,7 @@ def parse(arguments: list[str] | None = None) -> Any:
         option = "--" + name.replace("_", "-")
         if value == () and option in (word.replace("_", "-") for word in words):
             raise ValueError(f"{option} was given without an entry; name at least one, or leave it out")
-    if isinstance(command, common.Options):
+    if isinstance(command, common.Output):
         command.words = words
     return command
 

@@ -156,6 +156,7 @@ class Simulate(common.Options):
         base = Config(
             common.load_arm(options),
             dt=asked.get("dt", 1e-3),
+            t_final=common.motion_time(asked.get("dt", 1e-3)),
             engine=asked["engine"],
             duration=asked.get("duration"),
             contact=asked.get("contact", 0),
@@ -194,10 +195,11 @@ def summary(config: Config, trace: dict[str, np.ndarray], merits: Metrics) -> di
     found = metrics.detection(config, trace["verdict"], wanted, present)
     unsure = np.zeros(config.n) if found.scored is None else trace["unsure"][found.scored]
     saturated = (np.abs(trace["tau"]) >= config.robot.torque_limit * (1 - 1e-6)).mean(0)
+    fault_tau = trace["fault_tau"] + trace["contact_tau"]
     joints = [
         {
             "joint": name,
-            "fault_tau_rms_nm": metrics.rms(trace["fault_tau_hat"][:, j] - trace["fault_tau"][:, j]),
+            "fault_tau_rms_nm": metrics.rms(trace["fault_tau_hat"][:, j] - fault_tau[:, j]),
             "fault_q_rms_deg": math.degrees(metrics.rms(trace["fault_q_hat"][:, j] - trace["fault_q"][:, j])),
             "verdict": Verdict(found.verdict[j]).label,
             "unsure": bool(unsure[j]),

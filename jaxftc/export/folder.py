@@ -13,10 +13,11 @@ import jax
 from jaxftc.config import Config
 from jaxftc.export.c import source
 from jaxftc.export.stablehlo import FILES, METADATA, programs
-from jaxftc.export.tick import Real, Tick, decimals, tick
+from jaxftc.export.tick import Real, Tick, tick
 from jaxftc.gains import Gains
 from jaxftc.gains_file import save_gains
 from jaxftc.io.files import atomic_path, digest, write_text
+from jaxftc.numerics.decimals import decimals
 
 GAINS, EXAMPLE = "gains.toml", "example.c"
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxftc.config import Config
 from jaxftc.gains import Gains, specs
 from jaxftc.gains_file import header, made_for
+from jaxftc.numerics.decimals import decimals
 from jaxftc.schemes import registry
 from jaxftc.types import Measurement, Output, Reference
 from jaxftc.version import __version__
@@ -73,7 +74,7 @@ class Tick(NamedTuple):
         with precision(self.real):
             out = jax.eval_shape(self.step, *self.step_arguments)[1]
         _, reference, measurement = self.step_arguments[-3:]
-        units = {f"{block}_{name}": f"[{', '.join(s.axes)}] {s.unit}, {s.doc}" for block, name, s in specs()}
+        units = {f"{block}_{name}": f"[{', '.join(s.axes)}] {s.unit}, {s.doc}" for block, name, s in specs(self.gains)}
         return {
             "state": _leaves(self.state, {}),
             "reference": _leaves(reference, _attributes(Reference)),
@@ -111,11 +112,6 @@ def tick(
         }
     )
     return Tick(config, real, own, at_run_time, state, metadata)
-
-
-def decimals(leaf: Any) -> np.ndarray:
-    """A gain in double precision: of one in single precision the shortest decimals, as in its file."""
-    return np.asarray(leaf).astype(str).astype(float)
 
 
 def _leaves(tree: Any, about: dict[str, str]) -> list[Leaf]:

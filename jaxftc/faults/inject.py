@@ -15,6 +15,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from jaxftc import checks
+from jaxftc.numerics.decimals import decimals
 from jaxftc.scenarios import builders
 from jaxftc.scenarios.faults import Fault, no_fault
 from jaxftc.simulation import fault_injection
@@ -145,7 +146,8 @@ class Injector:
 
     def __init__(self, faults: Faults, *, limit: ArrayLike = np.inf) -> None:
         checks.instance("faults", faults, Faults)
-        self.faults, self.limit = faults, limit
+        meant = lambda leaf: decimals(leaf) if np.issubdtype(leaf.dtype, np.floating) else leaf  # noqa: E731
+        self.faults, self.limit = jax.tree.map(meant, faults), limit  # an onset of 0.1 is a time of 0.1
         self.command_error, self.reading_error = (np.zeros(np.shape(fault.onset)) for fault in faults)
         self._commanded: State | None = None  # what faults of commands remember
         self._read: State | None = None  # and of readings

@@ -33,7 +33,7 @@ class Motion(NamedTuple):
 
 def band(log: Log) -> np.ndarray:
     """Hz [n] up to which each joint's angle shows motion."""
-    dt = log.dt or 1e-3
+    dt = log.sample_time
     start, stop = max(log.stretches, key=lambda s: s[1] - s[0])
     q = np.asarray(log.q, float)[start:stop]
     size = min(len(q) - 1, 1 << int(np.log2(max(4.0 / dt, 64))))  # 4 s resolve a quarter of a hertz
@@ -51,7 +51,7 @@ def band(log: Log) -> np.ndarray:
 
 def motion(log: Log) -> Motion:
     """A log with speed and acceleration, every stretch by itself."""
-    dt = log.dt or 1e-3
+    dt = log.sample_time
     limits = band(log)
     q = np.array(log.q, float)
     qd, qdd = np.zeros_like(q), np.zeros_like(q)

@@ -115,6 +115,8 @@ def dynamics(
     x, shown = fit(prior, sums.without(None), trust)
     better, more = _as_robot(robot, x, width)
     notes += more
+    if not np.array_equal(robot.damping_positive, robot.damping_negative):
+        notes.append("viscous friction is fitted the same in both directions; the file has one for each, which are averaged")
     notes.append(f"links {_moved(trust)}; friction changes sign over {width:g} rad/s; both chosen on held-out parts")
     parameters = tuple(_parameters(robot, prior.file, x, shown))
     return Identified(better, gain, x[-robot.n :], held, parameters, trust, tuple(notes))
@@ -190,6 +192,14 @@ def _check(robot: Robot, logs: list[Log]) -> None:
     for k, log in enumerate(logs, start=1):
         if np.shape(log.q) != np.shape(log.tau) or np.ndim(log.q) != 2 or np.shape(log.q)[1] != robot.n:
             raise ValueError(f"log {k} must have q and tau of [T, {robot.n}], got {np.shape(log.q)} and {np.shape(log.tau)}")
+        if log.dt is None:
+            raise ValueError(f"log {k} has no sample time; give it, Log(q, tau, dt=...) in s")
+        bad = np.argwhere(~np.isfinite(np.asarray(log.q)))
+        if len(bad):
+            raise ValueError(
+                f"log {k}: q is not finite at tick {bad[0][0]} of joint {bad[0][1] + 1}; cut the log there, or read it with "
+                "faulty=False"
+            )
         if not log.has_torque:
             raise ValueError(
                 f"log {k} has no torques, so there is nothing to fit a model to; record them, or say which columns they are "

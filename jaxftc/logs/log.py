@@ -42,6 +42,17 @@ class Log(NamedTuple):
         return self.segments or ((0, len(self.q)),)
 
     @property
+    def sample_time(self) -> float:
+        """Sample time in s, where no config has it.
+
+        Raises:
+            ValueError: the log does not say it.
+        """
+        if self.dt is None:
+            raise ValueError("the log has no sample time; give it, Log(q, tau, dt=...) in s")
+        return self.dt
+
+    @property
     def has_torque(self) -> bool:
         """Whether torques were recorded."""
         return bool(np.isfinite(np.asarray(self.tau)).all())

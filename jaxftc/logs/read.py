@@ -192,13 +192,13 @@ def _against_model(robot: Robot, log: Log, rows: Rows, faulty: bool, named: bool
 
 def slow_speed(log: Log) -> np.ndarray:
     """Speed [T, n] rad/s by differences over 50 ms; enough to tell slow from fast and the way of the motion."""
-    half = max(1, round(0.025 / (log.dt or 1e-3)))
+    half = max(1, round(0.025 / log.sample_time))
     out = np.zeros_like(log.q)
     for start, stop in log.stretches:
         q = np.asarray(log.q)[start:stop]
         k = np.arange(len(q))
         ahead, behind = np.minimum(k + half, len(q) - 1), np.maximum(k - half, 0)
-        out[start:stop] = (q[ahead] - q[behind]) / ((ahead - behind)[:, None] * (log.dt or 1e-3))
+        out[start:stop] = (q[ahead] - q[behind]) / ((ahead - behind)[:, None] * log.sample_time)
     return out
 
 

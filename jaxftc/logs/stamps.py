@@ -88,12 +88,13 @@ def seconds(stamps: np.ndarray, unit: float | str | None) -> tuple[np.ndarray, s
     """
     if stamps.dtype.kind == "O":
         stamps = _from_text(stamps)
+    missing = np.isnat(stamps) if stamps.dtype.kind == "M" else ~np.isfinite(stamps)
+    if missing.all():
+        raise ValueError("must hold times, it is empty in every row")
     if stamps.dtype.kind == "M":
-        missing = np.isnat(stamps)
         steps = (stamps - stamps[~missing][0]).astype("timedelta64[ns]").astype(np.int64) * 1e-9
         return np.where(missing, np.nan, steps), "time is a date"
-    start = stamps[np.isfinite(stamps)]
-    t = (stamps - start[0]).astype(float) if len(start) else stamps.astype(float)  # whole ns have more digits than a float
+    t = (stamps - stamps[~missing][0]).astype(float)  # whole ns have more digits than a float
     if isinstance(unit, float):
         return t * unit, ""
     steps = np.diff(t[np.isfinite(t)])

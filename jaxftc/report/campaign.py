@@ -225,8 +225,9 @@ def _fate(row: dict[str, Any]) -> str:
         )
         return f"No fault; {said}"
     where = ", ".join(f"{c} of joint {row[j]}" for c, j in (("actuator", "joint_tau"), ("encoder", "joint_q")) if row[j])
-    size = "" if math.isnan(row["magnitude"]) else f", {row['magnitude']:.3g} {row['unit']}".rstrip(" 1")
-    text = f"Fault of the {where}{size}, from {row['onset_s']:.3f} s: "
+    size = "" if math.isnan(row["magnitude"]) else f", {row['magnitude']:.3g}" + f" {row['unit']}" * (row["unit"] != "1")
+    what = f"Fault of the {where}" if where else f"Contact at link {row['link']}"
+    text = f"{what}{size}, from {row['onset_s']:.3f} s: "
     false = f"; false alarm at {row['false_alarm_s']:.3f} s" if row["false_alarm"] else ""
     if math.isinf(row["delay_s"]):
         return f"{text}missed{false}"

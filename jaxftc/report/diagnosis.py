@@ -47,14 +47,14 @@ class Envelope:
 def diagnosis_page(title: str, record: dict[str, Any], curves: dict[str, Envelope], levels: dict[str, np.ndarray],
                    joints: tuple[str, ...], remarks: tuple[str, ...],
                    ran: Mapping[str, Any]) -> str:  # fmt: skip
-    """Timeline over the residuals; ``curves`` and ``levels`` by channel: tau in N m, q in rad; ``ran`` is what ran."""
+    """Timeline over the residuals; ``curves`` (of t in s, too) and ``levels`` by channel: tau in N m, q in rad."""
     tau, q = curves["tau"].curve, np.rad2deg(curves["q"].curve)
     duration = max(record["duration_s"], record["sample_time_s"])
     panels = [
         Panel("S, torque, N m", {"": (tau, {})}, levels["tau"]),
         Panel("encoder fault, deg", {"": (q, {})}, np.rad2deg(levels["q"])),
     ]
-    figure = together(np.linspace(0.0, duration, len(tau)), panels, joints)
+    figure = together(curves["t"].curve[:, 0], panels, joints)
     for event in record["events"]:
         colour = COLOURS[(event["joint"] - 1) % len(COLOURS)]
         figure.add_vrect(x0=event["start_s"], x1=event["end_s"], fillcolor=colour, opacity=0.2, line_width=0, layer="below")

@@ -71,7 +71,7 @@ def _torque_figure(log: Log, recorded: np.ndarray, models: dict[str, np.ndarray]
         f"left by {name}": (recorded - value, {"color": COLOURS[k], "width": 1.0})
         for (name, value), k in zip(models.items(), (1, 0), strict=True)
     }
-    t = np.arange(len(recorded)) * (log.dt or 1e-3)
+    t = np.arange(len(recorded)) * log.sample_time
     figure = by_joint(t, [Panel("torque, N m", curves), Panel("left over, N m", left)], names)
     return finish(
         figure, "Torque, recorded and modelled", f"The first log. File: the model before. {FIRST}", panels=2, first=0

@@ -98,13 +98,13 @@ def check_arm(preset: Preset, config: Config, name: str) -> None:
         raise ValueError(f"{name}: contact.links: {config.robot.name!r} has links 1 to {config.n}, got {list(links)}")
     if isinstance(preset, Paper) or preset.shares.actuator + preset.shares.both == 0:
         return
-    bias = preset.actuator.bias
-    by_limit = preset.actuator.saturation is not None or (bias is not None and bias.unit == "limit")
+    drawn = kinds(preset.actuator).items()
+    by_limit = [kind for kind, law in drawn if kind == "saturation" or getattr(law, "unit", "") == "limit"]
     if by_limit and not np.isfinite(config.robot.torque_limit[_allowed(preset, config)]).all():
         raise ValueError(
-            f"{name} sizes faults by torque limits, {config.robot.name!r} has "
+            f"{name} sizes faults by torque limits (actuator.{', actuator.'.join(by_limit)}), {config.robot.name!r} has "
             f"{config.robot.torque_limit.tolist()} N m; give every joint torque_limit_nm in an arm.toml (or in the file), "
-            'take a preset without saturation and with actuator.bias.unit = "N m", or build Scenario yourself'
+            'take a preset without saturation and with unit = "N m" for the others, or build Scenario yourself'
         )
 
 

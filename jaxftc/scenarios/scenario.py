@@ -153,7 +153,7 @@ def paper_scenario(
         scenario_id: Of its noise.
 
     Returns:
-        One scenario, faults on every joint from 0.1 to 0.3 s.
+        One scenario, faults on every joint from 0.1 to 0.25 s.
 
     Raises:
         ValueError: an unknown condition.

@@ -265,20 +265,21 @@ class Diagnoser:
         Raises:
             ValueError: q has the wrong shape or is not finite.
         """
+        q = checks.filled(q)
         checks.joints_first("q", q, self.config.n)
         checks.finite("q", q, "begin at the first reading of every joint")
         q = jnp.asarray(q, self.gains.arx.xi_a.dtype)
         return init(self.config, align(self.gains, q.ndim - 1), q)
 
     def step(self, state: State, q: Any, torque: Any) -> tuple[State, Diagnosis]:
-        """What a reading q [n, ...] rad and the torque beside it [n, ...] N m say; NaN where there is none.
+        """What a reading q [n, ...] rad and the torque beside it [n, ...] N m say; NaN, or masked, where there is none.
 
         Raises:
             ValueError: a shape is wrong, or the state is of another kind.
         """
         checks.instance("state", state, State)
         dtype = state.q.dtype
-        q, torque = jnp.asarray(q, dtype), jnp.asarray(torque, dtype)
+        q, torque = (jnp.asarray(checks.filled(signal), dtype) for signal in (q, torque))
         checks.joints_first("q", q, self.config.n)
         checks.same_shape(["state.q", "q", "torque"], [state.q, q, torque])
         return step(self.config, align(self.gains, q.ndim - 1), state, Measurement(q, torque))

@@ -93,6 +93,12 @@ def test_too_few_runs_are_refused_with_the_number_that_would_do():
         allowed(100, 0, 0.95)
 
 
+def test_a_single_scenario_is_refused(small):
+    one = jaxftc.healthy_scenario(small)
+    with pytest.raises(ValueError, match="scenarios must have one leading axis"):
+        calibrate(small, jaxftc.default_gains(small), one, jax.random.key(0))
+
+
 def test_alarms_that_no_threshold_prevents_are_told(puma):
     noisy = peaks()._replace(by_check=np.arange(2000) < 100)
     with pytest.raises(ValueError, match=r"100 of 2000.*no threshold.*observer.jump"):

@@ -1,5 +1,6 @@
 """Pages as a reader meets them: opened in a real browser, with the numbers of the JSON beside them."""
 
+import math
 import re
 import shutil
 from pathlib import Path
@@ -16,7 +17,7 @@ import jaxftc
 from jaxftc.paper import diagram
 from jaxftc.paper import experiment as paper
 from jaxftc.paper.page import demo_page
-from jaxftc.report import figures
+from jaxftc.report import campaign, figures
 from jaxftc.report.figures import MOST, thin, trace_page, windows
 from jaxftc.report.page import embed, notes, page, table
 
@@ -170,6 +171,20 @@ def test_the_page_needs_nothing_from_elsewhere(report):
 
 def test_a_page_of_one_joint_offers_no_choice(tmp_path):
     assert "<fieldset" not in page("one", ["<p>text</p>"], ["joint1"]) and "<fieldset" in page("two", [], ["a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ({"joint_tau": 2, "magnitude": 0.31, "unit": "1"}, "Fault of the actuator of joint 2, 0.31, from"),
+        ({"joint_q": 1, "magnitude": 1.0, "unit": "1"}, "Fault of the encoder of joint 1, 1, from"),
+        ({"joint_tau": 1, "magnitude": 5.0, "unit": "N m"}, "Fault of the actuator of joint 1, 5 N m, from"),
+        ({"link": 3, "magnitude": 55.0, "unit": "N"}, "Contact at link 3, 55 N, from"),
+    ],
+)
+def test_the_fate_of_a_run_says_what_was_wrong(row, said):
+    rest = {"diverged": False, "delay_s": math.inf, "joint_tau": 0, "joint_q": 0, "onset_s": 0.1, "false_alarm": False}
+    assert campaign._fate(rest | row) == f"{said} 0.100 s: missed"
 
 
 def test_what_a_user_wrote_is_text():

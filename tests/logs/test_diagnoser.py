@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+import shlex
 
 import jax
 import jax.numpy as jnp
@@ -124,6 +125,18 @@ def test_a_fault_is_one_event_of_its_joint_and_kind(config, calibration, log, fa
     sizes = {"actuator": (8.0, "N m"), "bias": (1.0, "deg")}
     if fault.__name__ in sizes:
         assert (abs(event.size), event.unit) == (pytest.approx(sizes[fault.__name__][0], rel=0.15), sizes[fault.__name__][1])
+
+
+def test_what_is_masked_is_absent(config, calibration, log):
+    diagnoser = jaxftc.Diagnoser(config, calibration.gains)
+    state, mask = diagnoser.init(log.q[0]), np.arange(config.n) == 1
+    masked, absent = (
+        diagnoser.step(state, hide(log.q[1]), hide(log.tau[1]))[1]
+        for hide in (lambda x: np.ma.masked_array(np.where(mask, 9.0, x), mask), lambda x: np.where(mask, np.nan, x))
+    )
+    jax.tree.map(np.testing.assert_array_equal, masked, absent)
+    with pytest.raises(ValueError, match="q must be finite"):
+        diagnoser.init(np.ma.masked_array(log.q[0], mask))
 
 
 def test_the_fast_residual_is_a_low_pass_of_what_the_slow_one_sees(config, calibration, log):
@@ -388,6 +401,8 @@ def test_calibration_refuses_what_it_cannot_use(config, calibration, log):
     short = Log(log.q[:300], log.tau[:300], dt=DT)
     with pytest.raises(ValueError, match=r"the logs hold 3 s; at least 4 s of healthy motion are needed"):
         calibrate_on_logs(config, calibration.gains, [short])
+    with pytest.raises(ValueError, match="logs must be at least one, got none"):
+        calibrate_on_logs(config, calibration.gains, [])
     with pytest.raises(ValueError, match=r"false_alarms must lie in \(0, 1\)"):
         calibrate_on_logs(config, calibration.gains, [log], false_alarms=0)
     with pytest.raises(ValueError, match=r"log 2: statistic_tau is not finite at 8.* s"):
@@ -531,6 +546,7 @@ def test_diagnose_writes_the_timeline(files, capsys):
     said = json.loads(capsys.readouterr().out)
     assert {"sample_time_s", "duration_s", "alarm_share", "events"} <= said.keys() and said["sample_time_s"] == DT
     assert [(e["joint"], e["kind"]) for e in said["events"]] == [(2, "sensor")]
+    assert shlex.split(said["provenance"]["command"])[:3] == ["jaxftc", "diagnose", str(files / "log.csv")]
     assert said["provenance"]["gains"]["file"] == str(files / "gains.toml") and said["provenance"]["robot"]["name"]
     assert set(said["events"][0]) == {"start_s", "end_s", "joint", "joint_name", "kind", "size", "unit"}
     with (out / "events.csv").open() as text:

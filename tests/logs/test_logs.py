@@ -388,6 +388,7 @@ REFUSED = {  # what is wrong: (the log, the line that a user reads, options)
         lambda t: t | {"t": np.zeros(600)},
         "column 't' must increase from row to row, it is 0.0 throughout",
     ),
+    "empty times": (lambda t: t | {"t": [""] * 600}, "column 't' must hold times, it is empty in every row"),
     "rows in no order": (lambda t: rows(t, np.random.default_rng(0).permutation(600)), "rows, the first is row"),
     "time backwards": (lambda t: t | {"t": t["t"][::-1]}, "found before: the rows run backwards in time; turned round"),
     "only gaps": (

@@ -186,6 +186,11 @@ def test_logs_that_cannot_be_fitted_are_refused(arm):
     q = np.zeros((200, 3))
     for log, words in (
         (logs.Log(q, np.full_like(q, np.nan), dt=0.01), "log 1 has no torques"),
+        (logs.Log(q, q), "log 1 has no sample time; give it"),
+        (
+            logs.Log(np.where(np.arange(200)[:, None] == 7, np.nan, q), q, dt=0.01),
+            "log 1: q is not finite at tick 7 of joint 1",
+        ),
         (logs.Log(q[:, :2], q[:, :2], dt=0.01), r"log 1 must have q and tau of \[T, 3\]"),
         ([], "at least one log is needed"),
     ):

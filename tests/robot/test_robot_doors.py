@@ -438,6 +438,12 @@ def test_gains_survive_a_file_bit_for_bit(config, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["gains.toml"], "nothing is left beside the file"
 
 
+def test_gains_of_scenarios_are_not_written(config, tmp_path):
+    gains = jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, 3)), jaxftc.default_gains(config))
+    with refuses("arx.xi_a must be one set of gains, ['n'], got shape [6, 3]"):
+        jaxftc.save_gains(tmp_path / "gains.toml", gains)
+
+
 def test_gains_file_says_units_robot_and_version(config, gains_file):
     table = tomllib.loads(gains_file.read_text())
     robot = config.robot

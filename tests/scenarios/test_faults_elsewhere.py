@@ -48,6 +48,13 @@ def test_every_kind_acts_on_numpy_arrays(kind):
         np.testing.assert_allclose(injector.reading_error, np.nan_to_num(reading - READING[k]), atol=1e-12)
 
 
+def test_a_fault_of_single_precision_begins_at_the_time_that_was_given():
+    with jax.enable_x64(False):
+        some = faults.healthy(1).with_actuator_bias(1, 0.7, 0.1)
+    injector = faults.Injector(some)
+    assert [float(injector.command(t, [0.0])[0]) for t in 0.1 * np.arange(3)] == [0.0, 0.7, 0.7]
+
+
 def test_noise_is_made_larger():
     injector = faults.Injector(faults.healthy(1).with_encoder_noise(1, 10.0, 0.5))
     assert injector.reading(0.4, [1.0], [0.01]) == pytest.approx(1.01)

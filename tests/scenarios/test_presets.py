@@ -22,6 +22,7 @@ from jaxftc.scenarios.faults import (
     SensorFaults,
     Share,
     TorqueBias,
+    TorqueSize,
     Unsized,
     kinds,
 )
@@ -367,6 +368,14 @@ def test_an_arm_without_torque_limits_is_refused():
     config = jaxftc.Config(arm("free", 1, motors=False), engine="chain")
     with pytest.raises(ValueError, match=r"'standard'.*torque limits.*'free'.*\[inf\]"):
         jaxftc.sample_scenarios(jax.random.key(0), 2, preset="standard", config=config)
+
+
+@pytest.mark.parametrize("kind", ["ripple", "friction"])
+def test_no_fault_is_sized_by_limits_that_are_not_there(kind):
+    config = jaxftc.Config(arm("free", 1, motors=False), engine="chain")
+    preset = dataclasses.replace(load_preset("standard"), actuator=ActuatorFaults(**{kind: TorqueSize(size=0.1)}))
+    with pytest.raises(ValueError, match=rf"torque limits \(actuator.{kind}\), 'free' has"):
+        jaxftc.sample_scenarios(jax.random.key(0), 2, preset, config=config)
 
 
 def test_an_arm_without_torque_limits_has_faults_that_do_not_need_them():
