@@ -207,7 +207,7 @@ def test_below_one_scenario_it_is_told():
     none = Row(2, 50, 0)
     with pytest.raises(ValueError, match="scenarios must be at least one, got none"):
         grid.campaign(none)
-    with pytest.raises(ValueError, match="0 healthy runs are too few"):
+    with pytest.raises(ValueError, match="scenarios must be at least one, got none"):
         grid.calibrate(none)
     with pytest.raises(ValueError, match=r"1 healthy run is too few: .* give at least 2"):
         grid.calibrate(none._replace(count=1))
