@@ -104,8 +104,8 @@ def _angles(
                 f"column {found.angle[j]!r} has no unit and others have; name the unit of each angle in the head, such as "
                 "q1 [rad]"
             )
-        listed = units[0] if len(set(units)) == 1 else f"{', '.join(map(str, units))} by joint"
-        notes.append(f"angles are in {listed}, as their columns say; turned into rad")
+        told = units[0] if len(set(units)) == 1 else f"{', '.join(map(str, units))} by joint"
+        notes.append(f"angles are in {told}, as their columns say; turned into rad")
         q = np.array([ANGLES[str(unit)] for unit in units]) * q
     lost = no_readings(robot, q) if check else np.zeros(q.shape, bool)
     if lost.any():
