@@ -62,20 +62,26 @@ def together(t: np.ndarray, panels: list[Panel], joints: tuple[str, ...]) -> go.
 
 
 def curve(t: np.ndarray, y: np.ndarray, name: str, line: dict[str, Any], *, joint: int, **more: Any) -> go.Scatter:
-    """A signal over evenly spaced time, thinned to what a screen shows, of one joint."""
+    """A signal over time, thinned to what a screen shows, of one joint."""
     values, step = thin(np.asarray(y, np.float32))
-    spacing = float(t[-1] - t[0]) / max(len(t) - 1, 1) * step
+    spacing = float(t[-1] - t[0]) / max(len(t) - 1, 1)
+    even = bool(np.allclose(np.diff(t), spacing, rtol=0.1, atol=0.0))  # then two numbers say it all
+    times = {"x0": float(t[0]), "dx": spacing * step} if even else {"x": _at(t, step * np.arange(len(values)))}
     return go.Scatter(
-        x0=float(t[0]),
-        dx=spacing,
         y=values,
         name=name,
         legendgroup=name,
         mode="lines",
         line={"width": 1.5} | line,
         meta={"joint": joint},
+        **times,
         **more,
     )
+
+
+def _at(t: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Times at places among the samples, whole ones or between."""
+    return np.interp(place, np.arange(len(t)), t)
 
 
 def thin(y: np.ndarray) -> tuple[np.ndarray, float]:
@@ -96,7 +102,7 @@ def _threshold(figure: go.Figure, t: np.ndarray, panel: Panel, joint: int, row: 
     level = thin(level)[0] if np.ptp(level) else np.repeat(level[:1], 2)
     for sign in (1, -1):
         figure.add_scatter(
-            x=np.linspace(t[0], t[-1], len(level)), y=sign * level, name="threshold", mode="lines", line=LIMIT,
+            x=_at(t, np.linspace(0, len(t) - 1, len(level))), y=sign * level, name="threshold", mode="lines", line=LIMIT,
             showlegend=False, meta={"joint": joint}, row=row, col=1,
         )  # fmt: skip
 

@@ -24,6 +24,7 @@ from jaxftc.logs.diagnose import CHUNK
 from jaxftc.logs.log import Log
 from jaxftc.logs.timeline import Timeline
 from jaxftc.report.diagnosis import POINTS, Envelope
+from jaxftc.report.figures import curve
 from jaxftc.schemes import diagnoser
 from jaxftc.schemes.diagnoser import Diagnosis
 from tests import small_logs
@@ -658,13 +659,23 @@ def test_calibrate_on_logs_writes_gains(files, tmp_path, capsys):
     assert said["method"] == "tail" and said["sample_time_s"] == DT and (tmp_path / "out" / "gains.toml").exists()
 
 
+def test_curves_stand_at_their_times_also_after_a_gap():
+    even = np.arange(50) * 0.1
+    assert (drawn := curve(even, even, "", {}, joint=0)).x is None and (drawn.x0, drawn.dx) == (0.0, pytest.approx(0.1))
+    for rows in (50, 10000):
+        gap = np.r_[0.1 * np.arange(rows), 0.1 * np.arange(rows) + 5000.0]
+        drawn = curve(gap, gap, "", {}, joint=0)
+        off = np.abs(np.asarray(drawn.x) - np.asarray(drawn.y))
+        assert (off > 0.2 * rows / 1000).sum() <= 2, "thinned, all but those beside the gap within a stretch"
+
+
 def test_a_curve_of_a_long_log_keeps_its_extremes_whatever_the_pieces():
     """The last piece is shorter than a block by then."""
     signal = np.random.default_rng(0).normal(size=(20 * POINTS + 3, 2))
-    curve = Envelope()
+    envelope = Envelope()
     for piece in (signal[: 9 * POINTS], signal[9 * POINTS : 20 * POINTS], signal[20 * POINTS :]):
-        curve.add(piece)
-    assert len(curve.low) <= POINTS and curve.size > 3
-    whole = signal[: len(curve.low) * curve.size]
-    np.testing.assert_array_equal(np.min(curve.low, axis=0), whole.min(0))
-    np.testing.assert_array_equal(np.max(curve.high, axis=0), whole.max(0))
+        envelope.add(piece)
+    assert len(envelope.low) <= POINTS and envelope.size > 3
+    whole = signal[: len(envelope.low) * envelope.size]
+    np.testing.assert_array_equal(np.min(envelope.low, axis=0), whole.min(0))
+    np.testing.assert_array_equal(np.max(envelope.high, axis=0), whole.max(0))
